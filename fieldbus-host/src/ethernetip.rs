@@ -140,7 +140,7 @@ fn udp(address: SocketAddrV4, is_shared: bool) -> Result<UdpSocket> {
 }
 
 /// Returns the interface with this address, and its addresses for broadcasts. Linux delivers these to sockets that are bound to
-/// them, other systems to the address itself.
+/// them, Windows to the address itself. Elsewhere, broadcasts are not received, and mask and Ethernet address are unknown.
 fn network(address: Ipv4Addr) -> (Network, Vec<Ipv4Addr>) {
     let (mask, mac, broadcasts) = interface(address).unwrap_or((Ipv4Addr::BROADCAST, [0; 6], Vec::new()));
     (Network { address, mask, gateway: Ipv4Addr::UNSPECIFIED, mac, speed: 100 }, broadcasts)
@@ -451,7 +451,8 @@ impl<O: Owner> TcpClient<MAX_FRAME_LEN> for Connection<O> {
     async fn dismissed(&self) {
         let unregistered = async {
             sleep_until(self.since + REGISTRATION_TIME).await;
-            if self.has_session() {
+            // A connection that ends has lost its session, and its last answers have their time.
+            if self.has_session() || *self.ends.borrow() {
                 pending().await
             }
         };
@@ -526,6 +527,9 @@ mod tests {
         let long = REGISTRATION_TIME + Duration::from_secs(1);
         assert!(timeout(long, connections[1].dismissed()).await.is_ok());
         assert!(timeout(long, registered.dismissed()).await.is_err());
+        shared.station.borrow_mut().restart();
+        assert!(timeout(LINGER / 2, registered.dismissed()).await.is_err(), "its last answer has no time");
+        assert!(timeout(LINGER, registered.dismissed()).await.is_ok());
         drop(connections);
         assert!(connect(&shared).is_some(), "the places are free again");
     }

@@ -34,7 +34,7 @@ pub trait Owner {
     /// Records the address of the controller before its outputs are taken. EtherNet/IP only.
     fn note_controller(&self, _: IpAddr) {}
 
-    /// Reads a register as a Modbus function does: 3 for holding registers, 4 for input registers. EtherNet/IP only.
+    /// Reads a register by the number of a Modbus function: 3 for holding registers, 4 for input registers. EtherNet/IP only.
     ///
     /// # Errors
     /// Returns the reason for a refusal.

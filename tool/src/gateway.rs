@@ -17,7 +17,9 @@ mod status;
 
 use std::io::{self, Write};
 use std::net::{SocketAddr, SocketAddrV4};
+use std::panic;
 use std::path::PathBuf;
+use std::process;
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
@@ -139,6 +141,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         Some(file) => config::read(file)?,
         None => vec![GripperConfig::new(&serving.options)?],
     };
+    end_with_any_panic();
     let signals = Signals::catch()?;
     let served = Served::open(grippers)?;
     if serving.check_config {
@@ -150,6 +153,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     // Does not wait for a look-up of a gripper's name.
     runtime.shutdown_background();
     ended.map(|()| 0)
+}
+
+/// Lets a panic in any task end the process, so that grippers on TCP enter FAST STOP.
+fn end_with_any_panic() {
+    let print = panic::take_hook();
+    panic::set_hook(Box::new(move |panic| {
+        print(panic);
+        process::abort();
+    }));
 }
 
 /// The grippers of one process, and the ports on which masters reach them.
@@ -256,8 +268,7 @@ impl Served {
         self.together(|gateway| async move { gateway.end().await }).await
     }
 
-    /// Runs a future for each gripper, all at the same time, until all have ended. A panic ends the process, so that grippers on
-    /// TCP enter FAST STOP.
+    /// Runs a future for each gripper, all at the same time, until all have ended.
     async fn together<F: Future<Output = ()> + 'static>(&self, run: impl Fn(Rc<Gateway>) -> F) -> Result<()> {
         let mut tasks = JoinSet::new();
         for (_, gateway) in &self.grippers {

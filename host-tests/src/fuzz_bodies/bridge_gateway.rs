@@ -43,7 +43,7 @@ struct Model {
     /// The connection that wrote last, until it is silent, and the one that began the present jog.
     writer: Option<u64>,
     jogger: Option<u64>,
-    /// Time of the last request of the writer.
+    /// Time of the last request of the jogger, or of the writer without a jog.
     received_ms: Option<u32>,
     /// When the connection to the gripper is restored; `None` while there is one.
     restored_ms: Option<u32>,
@@ -60,7 +60,7 @@ enum Event<'a> {
     Request(u64, &'a [u8]),
     /// The computer has paused.
     Paused,
-    /// The PLC's connection has ended before the turn.
+    /// The connection that began the jog has ended before the turn.
     Left,
 }
 
@@ -132,10 +132,11 @@ impl Model {
     fn disconnect(&mut self, master: usize) {
         let number = self.masters[master];
         self.masters[master] += self.masters.len() as u64;
-        if self.modbus.is_plc(number) {
+        if self.modbus.end_jog(number) {
             self.station.bridge().silence(SilenceReaction::Hold);
         }
-        if [self.writer, self.jogger].contains(&Some(number)) {
+        if self.jogger == Some(number) {
+            self.jogger = None;
             self.run(Event::Left);
         }
     }
@@ -199,7 +200,7 @@ impl Model {
                 let jogs = image.flags.intersects(CommandFlags::JOG);
                 self.jogger = self.jogger.or(Some(master)).filter(|_| jogs);
             }
-            if self.writer == Some(master) {
+            if self.jogger.or(self.writer) == Some(master) {
                 self.received_ms = Some(now_ms);
             }
         }

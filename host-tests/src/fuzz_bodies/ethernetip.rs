@@ -4,27 +4,13 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use bus_ethernetip::{Cause, Client, Event, MAX_FRAME_LEN, Network, Profile, Receiver, State, Transmit};
+use wsg_fieldbus::ethernetip::{self, Device};
 use wsg_fieldbus::{InputImage, OutputImage};
 
 use super::input::Input;
 
-type Device = bus_ethernetip::Device<{ OutputImage::LEN }, { InputImage::LEN }>;
-
-const PROFILE: Profile = Profile {
-    vendor_id: 1,
-    device_type: 0x2B,
-    product_code: 1,
-    revision: [1, 1],
-    serial_number: 1,
-    product_name: "example",
-    output: 150,
-    input: 100,
-    configuration: 151,
-    input_only: 152,
-    listen_only: 153,
-    register_class: None,
-    min_interval_us: 1_000,
-};
+/// A vendor, so that keys can be wrong.
+const PROFILE: Profile = Profile { vendor_id: 1, min_interval_us: 1_000, ..ethernetip::PROFILE };
 
 const NETWORK: Network = Network {
     address: Ipv4Addr::new(10, 0, 0, 9),

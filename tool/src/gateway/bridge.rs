@@ -224,9 +224,9 @@ impl Gateway {
         measured.answer(pdu, response).unwrap_or(len)
     }
 
-    /// Returns whether this master is the PLC, or began the present jog.
-    pub(super) fn is_plc(&self, master: u64) -> bool {
-        self.host.borrow().modbus.is_plc(master)
+    /// Returns whether this master wrote last.
+    pub(super) fn is_writer(&self, master: u64) -> bool {
+        self.host.borrow().modbus.writer() == Some(master)
     }
 
     /// Records that the PLC at this address has written an output image. A PROFINET controller has the address 0.0.0.0.
@@ -256,7 +256,7 @@ impl Gateway {
     /// BUS_TIMEOUT, unless the master connects again and writes.
     pub(super) fn end_jog(&self, master: u64) {
         let mut host = self.host.borrow_mut();
-        if host.modbus.is_plc(master) {
+        if host.modbus.end_jog(master) {
             host.station.bridge().silence(SilenceReaction::Hold);
         }
     }
@@ -395,9 +395,9 @@ impl Host {
         let was_connected = self.station.bridge().is_connected();
         let now_ms = now.saturating_sub(self.start).as_millis() as u32;
         let Self { station, line, modbus, flash, measured, .. } = self;
-        let had_plc = modbus.has_plc();
+        let had_plc = modbus.writer().is_some();
         station.turn_of_gateway(now_ms, line, &mut modbus.over(input), flash);
-        if had_plc && !modbus.has_plc() {
+        if had_plc && modbus.writer().is_none() {
             measured.lose_plc();
         }
         if is_regular && self.station.bridge().may_feed_watchdog(now_ms) {

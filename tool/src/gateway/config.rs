@@ -89,11 +89,17 @@ impl GripperConfig {
     fn check_apart(&self, other: &Self) -> Result<()> {
         let file = |it: &Self| it.settings.as_deref().and_then(|file| path::absolute(file).ok());
         let adapter = |it: &Self| it.ethernetip.map(|line| *line.address.ip());
+        let answers = |it: &Self| match it.gripper {
+            Address::Udp { answer_port: port @ 1.., .. } => Some(port),
+            _ => None,
+        };
         let interface = |it: &Self| it.profinet.as_ref().map(|line| line.interface.clone());
         if let Some(name) = self.name.as_ref().filter(|name| other.name.as_ref() == Some(*name)) {
             bail!("another gripper has the name {name}");
         } else if self.gripper == other.gripper {
             bail!("another gripper has the address {}", self.gripper);
+        } else if let Some(port) = answers(self).filter(|it| answers(other) == Some(*it)) {
+            bail!("another gripper answers to UDP port {port}; expected ?answer= with another port");
         } else if let Some(file) = file(self).filter(|it| file(other).as_ref() == Some(it)) {
             bail!("another gripper stores its settings in {}", file.display());
         } else if let Some(interface) = interface(self).filter(|it| interface(other).as_ref() == Some(it)) {
@@ -283,6 +289,11 @@ mod tests {
                 "another gripper has the name left",
             ),
             (two("right", "left:1000"), ", line 5: ", "another gripper has the address tcp://left:1000"),
+            (
+                LEFT.replace("tcp", "udp") + &RIGHT.replace("tcp", "udp"),
+                ", line 5: ",
+                "another gripper answers to UDP port 1501; expected ?answer= with another port",
+            ),
             (two("503", "502"), ", line 5: ", "10.0.0.1:502 is another gripper's; to share it, both need"),
             (two("10.0.0.1:503", "0.0.0.0:502"), ", line 5: ", "0.0.0.0:502 is another gripper's"),
             (two("503\"", "502\"\nunit = 1"), ", line 5: ", "10.0.0.1:502 is another gripper's"),

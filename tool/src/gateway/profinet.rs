@@ -116,7 +116,7 @@ impl Owner for Bridge {
     fn take_outputs(&self, outputs: &OutputImage, before: Option<&OutputImage>) {
         let (master, image, before) = (self.number, *outputs, before.copied());
         self.gateway.turn(TcpInput::Image { master, image, before });
-        if self.gateway.is_plc(master) {
+        if self.gateway.is_writer(master) {
             self.gateway.note_cycle(self.address.get());
         }
     }

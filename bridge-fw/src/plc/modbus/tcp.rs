@@ -4,14 +4,14 @@
 //! even while other masters send requests. The end of its connection is not, because some masters connect for each request.
 //!
 //! The master of a bus that exchanges images in cycles, such as PROFINET, shares the output image, too. Only its changes are
-//! writes, and its end is a lost bus.
+//! writes, and its end is a lost bus if it wrote last.
 
 use super::{BridgeDevice, Role, has_fallen_silent};
 use crate::plc::View;
 use crate::plc::side::{PlcEvent, PlcSide, Shown};
 use crate::register::{BusCounts, Link};
 use bus_modbus::MAX_PDU_LEN;
-use wsg_fieldbus::{CommandFlags, Images, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags, Images, InputImage, MaskedFlags, OutputImage};
 use wsg_protocol::Instant;
 
 /// Number of cyclic buses beside Modbus/TCP, each with one master: PROFINET and EtherNet/IP.
@@ -29,7 +29,7 @@ pub struct ModbusTcp {
     writer: Option<u64>,
     /// The master that began the present jog.
     jogger: Option<u64>,
-    /// Time of the last data of `writer`; `None` without one.
+    /// Time of the last data of the jogger, or of the writer without a jog; `None` without either.
     received_at: Option<Instant>,
 }
 
@@ -100,10 +100,15 @@ impl ModbusTcp {
         [self.writer, self.jogger].contains(&Some(master))
     }
 
-    /// Returns whether there is a PLC: a master has written, and has not been silent since.
+    /// Returns the master that wrote last, until it is silent.
     #[must_use]
-    pub const fn has_plc(&self) -> bool {
-        self.writer.is_some()
+    pub const fn writer(&self) -> Option<u64> {
+        self.writer
+    }
+
+    /// Records the end of a master's connection. Returns whether the present jog is the master's, and must end.
+    pub fn end_jog(&mut self, master: u64) -> bool {
+        self.jogger.take_if(|jogger| *jogger == master).is_some()
     }
 
     /// Forgets the PLC.
@@ -135,9 +140,7 @@ impl ModbusTcp {
         if let Some(image) = &written {
             self.note_writer(master, image);
         }
-        if self.writer == Some(master) {
-            self.received_at = Some(now);
-        }
+        self.note_data(now, master);
         let event = match written {
             _ if configured => PlcEvent::Configured,
             Some(image) => self.output(image),
@@ -155,20 +158,25 @@ impl ModbusTcp {
         before: Option<OutputImage>,
     ) -> Option<PlcEvent> {
         if self.writer.is_some() && before == Some(image) {
-            if self.writer == Some(master) {
-                self.received_at = Some(now);
-            }
+            self.note_data(now, master);
             return None;
         }
         self.hold(master, image.flags.contains(CommandFlags::FASTSTOP));
         if self.writer.is_some() {
             // A flag that is 0 in the shared image, and that this master does not raise now, would look like an edge.
             let held = before.map_or(CommandFlags::all(), |before| before.flags);
-            image.flags -= held - self.images.output().flags - CommandFlags::FASTSTOP;
+            let mut stale = MaskedFlags::NONE;
+            stale.mask(held - self.images.output().flags - CommandFlags::FASTSTOP);
+            stale.see(image.flags, false);
+            if image.flags.contains(CommandFlags::STOP_ACK) {
+                // It suppresses motions even where it is no edge.
+                stale.mask(CommandFlags::MOTIONS | CommandFlags::JOG);
+            }
+            image.flags = stale.counting(image.flags);
         }
         self.images.set_output(&image);
         self.note_writer(master, &image);
-        self.received_at = Some(now);
+        self.note_data(now, master);
         Some(self.output(image))
     }
 
@@ -196,6 +204,13 @@ impl ModbusTcp {
         let jogs = image.flags.intersects(CommandFlags::JOG);
         self.jogger = if jogs { self.jogger.or(Some(master)) } else { None };
     }
+
+    /// Records data of a master. Other masters do not hide the silence of the one that jogs.
+    fn note_data(&mut self, now: Instant, master: u64) {
+        if self.jogger.or(self.writer) == Some(master) {
+            self.received_at = Some(now);
+        }
+    }
 }
 
 impl Default for ModbusTcp {
@@ -216,8 +231,9 @@ impl PlcSide for TcpTurn<'_> {
         let Self { modbus, input } = self;
         let is_paused = matches!(input, TcpInput::Paused);
         if is_paused {
-            // A pause longer than BUS_TIMEOUT is one loss.
+            // A pause longer than BUS_TIMEOUT is one loss. The connections of all masters end.
             *input = TcpInput::Nothing;
+            modbus.holders = [None; CYCLIC_BUSES];
         }
         // Before a request: a bridge that was late must not take it for one in time.
         if has_fallen_silent(&mut modbus.received_at, now, view.settings.timeout_ms()) || is_paused {
@@ -316,7 +332,7 @@ mod tests {
         }
         assert!(rig.modbus.is_plc(1));
         assert_eq!(rig.request(1_000, 2, READ).0, [SILENT, PlcEvent::Served]);
-        assert!(!rig.modbus.is_plc(1) && !rig.modbus.is_plc(2) && !rig.modbus.has_plc());
+        assert!(!rig.modbus.is_plc(1) && !rig.modbus.is_plc(2) && rig.modbus.writer().is_none());
         assert_eq!(rig.turn(9_000, TcpInput::Nothing), [], "a master that only reads commands nothing");
     }
 
@@ -375,6 +391,32 @@ mod tests {
     }
 
     #[test]
+    fn stale_level_of_a_cyclic_master_keeps_its_effect_on_other_flags() {
+        let (mv, ack) = (CommandFlags::MOVE, CommandFlags::STOP_ACK);
+        let (plus, minus) = (CommandFlags::JOG_PLUS, CommandFlags::JOG_MINUS);
+        let none = CommandFlags::empty();
+        // Each second image comes after another master has cleared the shared one.
+        for (first, second, expected) in [
+            (ack, ack | mv, none),
+            (ack, mv, mv),
+            (plus, plus | minus, none),
+            (plus, minus, none),
+            (plus, mv, mv),
+        ] {
+            let mut rig = Rig::new();
+            rig.request(0, 1, WRITE);
+            let [first, second] = [first, second].map(|flags| image(flags, 0));
+            let zeros = image(none, 0);
+            rig.turn(1, TcpInput::Image { master: 3, image: zeros, before: None });
+            rig.turn(2, TcpInput::Image { master: 3, image: first, before: Some(zeros) });
+            rig.request(3, 1, WRITE);
+            let events = rig.turn(4, TcpInput::Image { master: 3, image: second, before: Some(first) });
+            let [PlcEvent::Output(image)] = events[..] else { panic!("{events:?}") };
+            assert_eq!(image.flags, expected, "{first:?}, {second:?}");
+        }
+    }
+
+    #[test]
     fn no_other_cyclic_master_releases_a_fast_stop() {
         let mut rig = Rig::new();
         let (stop, none) = (CommandFlags::FASTSTOP, CommandFlags::empty());
@@ -390,6 +432,12 @@ mod tests {
         assert_eq!(written(&mut rig, 3, 3, none, 2), stop, "master 4 holds it");
         rig.turn(4, TcpInput::Left { master: 4 });
         assert_eq!(written(&mut rig, 5, 3, none, 3), none);
+        // A pause ends every connection, and the end of this one finds it out.
+        assert_eq!(written(&mut rig, 6, 3, stop, 3), stop);
+        rig.turn(1_000, TcpInput::Paused);
+        assert!(
+            matches!(rig.request(1_001, 1, WRITE).0[..], [PlcEvent::Output(image)] if image.flags == none)
+        );
     }
 
     #[test]
@@ -400,6 +448,16 @@ mod tests {
         assert!(rig.modbus.is_plc(1) && rig.modbus.is_plc(2));
         rig.request(20, 2, WRITE);
         assert!(!rig.modbus.is_plc(1), "the jog has ended");
+        // Its silence is that of the PLC, even while another master writes parameters.
+        rig.request(30, 1, &[6, 0, 0, 0x80, 0]);
+        for now_ms in (100..1_030).step_by(100) {
+            rig.request(now_ms, 2, &[6, 0, 2, 0, 1]);
+        }
+        let (events, _) = rig.request(1_030, 2, &[6, 0, 2, 0, 1]);
+        assert_eq!(events[0], SILENT);
+        rig.request(1_040, 2, WRITE);
+        rig.request(1_050, 1, &[6, 0, 0, 0x80, 0]);
+        assert!(!rig.modbus.end_jog(2) && rig.modbus.end_jog(1) && !rig.modbus.end_jog(1));
     }
 
     #[test]
