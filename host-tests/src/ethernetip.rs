@@ -288,12 +288,15 @@ pub fn explicit(address: Ipv4Addr, service: u8, path: [u8; 3], data: &[u8]) -> R
     if *status == 0 { Ok(data.to_vec()) } else { Err(*status) }
 }
 
+/// Target of the motions that an event must stop, in 0.01 mm.
+const TARGET: i16 = 100_00;
+
 const GET: u8 = 0x0E;
 const SET: u8 = 0x10;
 
-/// Returns outputs with a target of 100 mm, 20 mm/s and 40 N.
+/// Returns outputs with a target of 100 mm, the lowest speed, and 40 N.
 fn outputs(flags: Flag) -> OutputImage {
-    OutputImage { flags, user: 0, width: 100_00, speed: 20_00, force_limit: 40_00 }
+    OutputImage { flags, user: 0, width: TARGET, speed: 5_00, force_limit: 40_00 }
 }
 
 #[track_caller]
@@ -334,6 +337,11 @@ pub fn judge(address: Ipv4Addr, state: &dyn Fn() -> State) {
         until("the fingers move", is_moving);
     };
 
+    let stops = |what: &str| {
+        until(what, || !is_moving());
+        assert!(state().width < f32::from(TARGET) / 100.0 - 1.0, "{what}: the motion has reached its target");
+    };
+
     until("the gripper is connected", || read().status != Status::IoError);
     starts_nothing("the first image");
     assert!(!has(SystemFlags::REFERENCED));
@@ -365,7 +373,7 @@ pub fn judge(address: Ipv4Addr, state: &dyn Fn() -> State) {
     drop(other);
     assert!(is_moving(), "a second owner stops nothing");
     scanner.set_mode(Mode::Idle);
-    until("idle stops the fingers", || !is_moving());
+    stops("idle stops the fingers");
     assert!(!has(SystemFlags::FAST_STOP));
     assert_eq!(explicit(address, GET, [4, 150, 3], &[]), Ok(vec![0; 8]));
     scanner.set_mode(Mode::Run);
@@ -373,7 +381,8 @@ pub fn judge(address: Ipv4Addr, state: &dyn Fn() -> State) {
 
     start_moving();
     write(Flag::MOVE | Flag::FASTSTOP);
-    until("FASTSTOP acts", || has(SystemFlags::FAST_STOP) && !is_moving());
+    until("FASTSTOP acts", || has(SystemFlags::FAST_STOP));
+    stops("FASTSTOP stops the fingers");
     write(Flag::empty());
     until("the stop is acknowledged", || {
         write(Flag::STOP_ACK);
@@ -383,12 +392,12 @@ pub fn judge(address: Ipv4Addr, state: &dyn Fn() -> State) {
 
     start_moving();
     scanner.set_mode(Mode::Silent);
-    until("the time-out stops the fingers", || !is_moving());
+    stops("the time-out stops the fingers");
     assert!(!has(SystemFlags::FAST_STOP));
     scanner.set_mode(Mode::Run);
     starts_nothing("the owner's return");
     start_moving();
     drop(scanner);
-    until("the end of the connection stops the fingers", || !is_moving());
+    stops("the end of the connection stops the fingers");
     assert!(!has(SystemFlags::FAST_STOP));
 }

@@ -12,7 +12,11 @@ pub const LATE: &str = "no answer within the master's time-out";
 
 /// A connection of a master.
 #[derive(Debug)]
-pub struct Master(TcpStream);
+pub struct Master {
+    stream: TcpStream,
+    /// Unit of the requests.
+    pub unit: u8,
+}
 
 impl Master {
     /// Connects a master with this time-out.
@@ -23,7 +27,7 @@ impl Master {
         let stream = TcpStream::connect(server)?;
         stream.set_nodelay(true)?;
         stream.set_read_timeout(Some(timeout))?;
-        Ok(Self(stream))
+        Ok(Self { stream, unit: 0xFF })
     }
 
     /// Sends a request to registers 0 to 3.
@@ -34,8 +38,40 @@ impl Master {
         self.request(&[&[16, 0, 0, 0, 4, 8][..], &image.to_bytes()].concat())
     }
 
-    fn request(&mut self, pdu: &[u8]) -> io::Result<()> {
-        self.0.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF], pdu].concat())
+    /// Sends a PDU.
+    ///
+    /// # Errors
+    /// Returns the error of the socket.
+    pub fn request(&mut self, pdu: &[u8]) -> io::Result<()> {
+        self.stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, self.unit], pdu].concat())
+    }
+
+    /// Returns the PDU of the next answer, which may be an exception.
+    ///
+    /// # Errors
+    /// Returns the error of the socket.
+    ///
+    /// # Panics
+    /// Panics when another unit answers.
+    pub fn response(&mut self) -> io::Result<Vec<u8>> {
+        let mut head = [0; 7];
+        self.stream.read_exact(&mut head)?;
+        assert_eq!(head[6], self.unit, "the unit of the answer");
+        let mut pdu = vec![0; usize::from(head[5]) - 1];
+        self.stream.read_exact(&mut pdu)?;
+        Ok(pdu)
+    }
+
+    /// Sends a PDU, and returns that of the answer.
+    ///
+    /// # Errors
+    /// Returns the error of the socket.
+    ///
+    /// # Panics
+    /// Panics when another unit answers.
+    pub fn ask(&mut self, pdu: &[u8]) -> io::Result<Vec<u8>> {
+        self.request(pdu)?;
+        self.response()
     }
 
     /// Returns the PDU of the next answer.
@@ -43,13 +79,10 @@ impl Master {
     /// # Errors
     /// Returns an error if the answer is an exception, [`LATE`] without an answer in time, or the error of the socket.
     pub fn answer(&mut self) -> Result<Vec<u8>> {
-        let mut head = [0; 7];
-        self.0.read_exact(&mut head).map_err(|error| match error.kind() {
+        let pdu = self.response().map_err(|error| match error.kind() {
             ErrorKind::WouldBlock | ErrorKind::TimedOut => anyhow!(LATE),
             _ => error.into(),
         })?;
-        let mut pdu = vec![0; usize::from(head[5]) - 1];
-        self.0.read_exact(&mut pdu)?;
         ensure!(pdu[0] & 0x80 == 0, "exception {:02X}", pdu[1]);
         Ok(pdu)
     }

@@ -7,10 +7,11 @@ mod program;
 
 use std::env::temp_dir;
 use std::fs;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::mem;
-use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::os::fd::OwnedFd;
+use std::panic::panic_any;
 use std::path::PathBuf;
 use std::process::id;
 use std::sync::Arc;
@@ -21,7 +22,8 @@ use std::time::{Duration, Instant};
 use document::read;
 #[cfg(target_os = "linux")]
 use host_tests::ethernetip;
-use host_tests::gateway::{self, Gateway};
+use host_tests::gateway::{self, Gateway, Moved};
+use host_tests::modbus_tcp;
 use program::{printed, wsg};
 use rustix::fs::{CWD, Mode, OFlags, fcntl_setfl, mkfifoat};
 use rustix::process::{Pid, Signal, kill_process};
@@ -51,8 +53,9 @@ const DISCONNECTS: u8 = 117;
 const BUS_TIMEOUTS: u8 = 125;
 const SAVE_STATE: u8 = 204;
 
-/// Status in input register 5 until a command has ended.
+/// Status in input register 5 until a command has ended, and of a motion that a gripper which is not homed has refused.
 const CMD_PENDING: u16 = 26;
+const NOT_INITIALIZED: u16 = 3;
 
 /// Message about a silent gripper.
 const SILENT: &str = "the gripper does not answer";
@@ -124,7 +127,12 @@ impl Rig {
     }
 
     /// Returns a master that has started a motion to 10 mm, which takes 5 s.
-    fn moving(&self, timeout_ms: u16) -> Master {
+    fn moving(&self) -> Master {
+        self.moving_with(60_000)
+    }
+
+    /// Does so with a BUS_TIMEOUT, which no motion allows to change.
+    fn moving_with(&self, timeout_ms: u16) -> Master {
         let mut master = self.homed();
         master.set_timeout(timeout_ms);
         master.start(MOVE);
@@ -238,33 +246,19 @@ impl Drop for Folder {
 }
 
 struct Master {
-    stream: TcpStream,
-    unit: u8,
+    line: modbus_tcp::Master,
 }
 
 impl Master {
     fn connect(address: SocketAddr) -> Self {
-        let stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        Self { stream, unit: 1 }
-    }
-
-    fn send(&mut self, pdu: &[u8]) -> io::Result<()> {
-        self.stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, self.unit][..], pdu].concat())
-    }
-
-    fn answer(&mut self) -> io::Result<Vec<u8>> {
-        let mut head = [0; 7];
-        self.stream.read_exact(&mut head)?;
-        assert_eq!(head[6], self.unit);
-        let mut pdu = vec![0; usize::from(head[5]) - 1];
-        self.stream.read_exact(&mut pdu)?;
-        Ok(pdu)
+        let line = modbus_tcp::Master::connect(address, BOUND).unwrap();
+        let mut master = Self { line };
+        master.line.unit = 1;
+        master
     }
 
     fn ask(&mut self, pdu: &[u8]) -> io::Result<Vec<u8>> {
-        self.send(pdu)?;
-        self.answer()
+        self.line.ask(pdu)
     }
 
     fn set_timeout(&mut self, ms: u16) {
@@ -306,14 +300,22 @@ impl Master {
     fn command(&mut self, flags: u16, width: u16) -> (u16, u16) {
         self.write(0, width);
         self.write(flags, width);
-        loop {
-            let inputs = self.inputs().expect("the gripper answers");
-            if inputs[5] != CMD_PENDING {
-                return (inputs[0] >> 8, inputs[5]);
-            }
-            // As a PLC: requests without a pause would keep the other tests from the processor.
-            sleep(Duration::from_millis(5));
-        }
+        let mut inputs = None;
+        // As a PLC, with pauses: they leave the processor to the other tests.
+        until("the command ends", || {
+            let read = self.inputs().expect("the gripper answers");
+            inputs = (read[5] != CMD_PENDING).then_some((read[0] >> 8, read[5]));
+            inputs.is_some()
+        });
+        inputs.unwrap()
+    }
+}
+
+/// Checks that no command has moved the fingers.
+fn rests_at(rig: &Rig, width: f32) {
+    let state = rig.gripper().state();
+    if state.width != width {
+        panic_any(Moved(format!("{state:?} after {width} mm")));
     }
 }
 
@@ -352,7 +354,7 @@ fn owner_of_an_ethernetip_adapter_homes_grips_and_stops_the_fingers_by_idle_and_
 #[test]
 fn sigterm_during_a_motion_stops_it_without_a_fast_stop() {
     unpaused(|rig| {
-        let _master = rig.moving(60_000);
+        let _master = rig.moving();
         rig.end(Signal::TERM);
         assert!(rig.gripper().state().width > 12.0, "{:?}", rig.gripper().state());
     });
@@ -361,7 +363,7 @@ fn sigterm_during_a_motion_stops_it_without_a_fast_stop() {
 #[test]
 fn killed_gateway_leaves_a_fast_stop() {
     unpaused(|rig| {
-        let _master = rig.moving(60_000);
+        let _master = rig.moving();
         rig.signal(Signal::KILL);
         until("FAST STOP", || rig.has(SystemFlags::FAST_STOP) && !rig.has(SystemFlags::MOVING));
     });
@@ -370,23 +372,24 @@ fn killed_gateway_leaves_a_fast_stop() {
 #[test]
 fn gripper_that_restarts_during_a_motion_does_not_continue_it() {
     unpaused(|rig| {
-        let mut master = rig.moving(60_000);
+        let mut master = rig.moving();
         rig.restart_gripper();
         let width = rig.gripper().state().width;
         until("the gripper answers again", || master.report(DISCONNECTS) > 0 && master.inputs().is_some());
         // The PLC still holds MOVE.
         for _ in 0..50 {
             master.write(MOVE, 1_000);
+            assert_ne!(master.inputs().map(|inputs| inputs[5]), Some(NOT_INITIALIZED), "MOVE was sent again");
             sleep(Duration::from_millis(10));
         }
-        assert_eq!(rig.gripper().state().width, width);
+        rests_at(rig, width);
     });
 }
 
 #[test]
 fn silent_master_stops_the_motion_after_bus_timeout() {
     unpaused(|rig| {
-        let mut master = rig.moving(1_000);
+        let mut master = rig.moving_with(2_000);
         until("the fingers rest", || !rig.has(SystemFlags::MOVING));
         let state = rig.gripper().state();
         assert!(state.width > 12.0 && !rig.has(SystemFlags::FAST_STOP), "{state:?}");
@@ -414,11 +417,11 @@ fn command_that_waited_while_the_process_was_stopped_is_discarded() {
     master.write(0, 1_000);
     rig.signal(Signal::STOP);
     sleep(Duration::from_millis(50));
-    master.send(&request(MOVE, 1_000)).unwrap();
+    master.line.request(&request(MOVE, 1_000)).unwrap();
     sleep(Duration::from_millis(1_200));
     let width = rig.gripper().state().width;
     rig.signal(Signal::CONT);
-    assert!(master.answer().is_err(), "the connection ends without an answer");
+    assert!(master.line.response().is_err(), "the connection ends without an answer");
     until("FAST STOP", || rig.has(SystemFlags::FAST_STOP));
     let mut connected = None;
     until("the gripper answers", || {
@@ -433,10 +436,16 @@ fn command_that_waited_while_the_process_was_stopped_is_discarded() {
         "{reports}"
     );
     assert_eq!((&reports["PLC_ADDRESS"], &reports["CYCLE_TIME"]), (&Value::Null, &0.into()));
-    // The first image.
-    connected.unwrap().write(MOVE, 1_000);
+    // The first image has MOVE, and so have all others.
+    let mut master = connected.unwrap();
+    master.write(MOVE, 1_000);
+    until("the stop is acknowledged", || {
+        master.write(MOVE | STOP_ACK, 1_000);
+        master.write(MOVE, 1_000);
+        !rig.has(SystemFlags::FAST_STOP)
+    });
     sleep(Duration::from_millis(300));
-    assert_eq!(rig.gripper().state().width, width);
+    rests_at(&rig, width);
     let messages = rig.gateway.messages();
     assert!(messages.contains("paused for"), "{messages}");
 }
@@ -453,14 +462,14 @@ fn two_grippers_share_a_port_by_unit_and_a_signal_stops_both() {
         }
         let mut master = rig.homed();
         for unit in [0, 3, 255] {
-            master.unit = unit;
+            master.line.unit = unit;
             assert_eq!(master.ask(&request(HOMING, 0)).unwrap(), [0x90, 0x0A], "unit {unit}");
         }
         assert!(rig.has(SystemFlags::REFERENCED) && !has(&rig.grippers[1], SystemFlags::REFERENCED));
-        master.unit = 2;
+        master.line.unit = 2;
         master.home();
         master.start(JOG_MINUS);
-        master.unit = 1;
+        master.line.unit = 1;
         master.start(MOVE);
         let are_moving = |rig: &Rig| rig.grippers.iter().all(|gripper| has(gripper, SystemFlags::MOVING));
         until("both move", || are_moving(rig));
@@ -468,7 +477,7 @@ fn two_grippers_share_a_port_by_unit_and_a_signal_stops_both() {
         until("the jog ends", || !has(&rig.grippers[1], SystemFlags::MOVING));
         assert!(rig.has(SystemFlags::MOVING), "{:?}", rig.gripper().state());
         let mut master = rig.connect();
-        master.unit = 2;
+        master.line.unit = 2;
         // A command before the answer to the Stop would be refused.
         until("the end of the jog is confirmed", || {
             master.inputs().is_some_and(|inputs| inputs[5] != CMD_PENDING)
@@ -732,7 +741,7 @@ fn grips_and_moves_neither_late_nor_after_the_end(link: Link) {
             let _ = master.ask(&request(MOVE, 4_000)).unwrap();
             sleep(Duration::from_millis(10));
         }
-        assert_eq!(rig.gripper().state().width, width, "{link:?}: no command comes late");
+        rests_at(rig, width);
         master.command(STOP_ACK, 0);
         master.write(0, 1_000);
         master.write(GRIP, 1_000);
@@ -896,12 +905,7 @@ mod service {
         until("the socket is full", || filler.send(b"X=1").is_err());
         // Meanwhile, the watchdog is due several times.
         for _ in 0..20 {
-            until("a master is answered", || {
-                let mut master = TcpStream::connect(gateway.modbus).unwrap();
-                master.set_read_timeout(Some(BOUND)).unwrap();
-                master.write_all(&[0, 1, 0, 0, 0, 6, 1, 4, 0, 101, 0, 1]).is_ok()
-                    && master.read_exact(&mut [0; 9]).is_ok()
-            });
+            until("a master is answered", || Master::connect(gateway.modbus).ask(&[4, 0, 101, 0, 1]).is_ok());
             sleep(Duration::from_millis(5));
         }
     }

@@ -38,6 +38,11 @@ const OUTSIDE: [Verb; 6] = [
     Verb::Move(-3.0),
 ];
 
+/// A stall of the observer after which a driver may have lost its gripper (600 ms) or a gateway its turns (800 ms), and the number of
+/// judgements after such stalls.
+const DISTURBANCE: Duration = Duration::from_millis(200);
+const JUDGEMENTS: u32 = 4;
+
 /// Payload of a panic: something possible failed while the machine kept the observer from the processor, and with it perhaps the
 /// gripper. A driver takes a gripper for lost that does not answer for 600 ms.
 struct Disturbed(String);
@@ -48,8 +53,10 @@ pub(crate) fn judge(entry: &Entry, promise: fn(&Entry)) {
         let judged = catch_unwind(AssertUnwindSafe(|| promise(entry)));
         let Err(failure) = judged else { return };
         match failure.downcast::<Disturbed>() {
-            Ok(disturbed) if attempt < ATTEMPTS => eprintln!("attempt {attempt}, disturbed: {}", disturbed.0),
-            Ok(disturbed) => panic!("in {ATTEMPTS} attempts on a busy machine: {}", disturbed.0),
+            Ok(disturbed) if attempt < JUDGEMENTS => {
+                eprintln!("attempt {attempt}, disturbed: {}", disturbed.0)
+            }
+            Ok(disturbed) => panic!("in {JUDGEMENTS} attempts on a busy machine: {}", disturbed.0),
             Err(failure) => resume_unwind(failure),
         }
     }
@@ -57,7 +64,7 @@ pub(crate) fn judge(entry: &Entry, promise: fn(&Entry)) {
 
 /// Fails because something possible was refused or did not happen.
 fn fail(station: &Station, why: String) -> ! {
-    if station.stall() < STALL { panic!("{why}") } else { resume_unwind(Box::new(Disturbed(why))) }
+    if station.stall() < DISTURBANCE { panic!("{why}") } else { resume_unwind(Box::new(Disturbed(why))) }
 }
 
 /// A surface with its gripper, referenced and wide open.
@@ -83,6 +90,7 @@ impl Rig {
         rig.station.until("referenced", |state| {
             state.flags.contains(SystemFlags::REFERENCED) && !state.flags.contains(SystemFlags::MOVING)
         });
+        rig.station.measure();
         rig
     }
 
