@@ -26,7 +26,8 @@
 //!
 //! **End.** The worker ends after a FAST STOP, a Stop by another client, a script error, a lost connection or the end
 //! of the `SetPointStream`. It sends Stop if the line permits it, and [`ended`](SetPointStream::ended) returns the
-//! [`Cause`]. Nothing resumes automatically.
+//! [`Cause`]. Nothing resumes automatically. After a FAST STOP, [`acknowledge`](SetPointStream::acknowledge) begins the stream
+//! again, without set-points.
 //!
 //! ```no_run
 //! use wsg_protocol::HomingDirection;
@@ -62,12 +63,14 @@ use super::blocking::{Gripper, Transport};
 use super::{Clock, Error, Mm, MmPerS, N, StopHandle, StopKind, Stoppable};
 use crate::limits::{OutOfLimits, Quantity};
 use crate::time::Instant;
-use crate::types::{Status, SystemFlags, SystemLimits};
+use crate::types::{HomingDirection, Status, SystemFlags, SystemLimits};
+use embedded_io::ErrorType;
 use line::Exchanges;
 use script::{Measured, Order};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 use std::vec::Vec;
 use std::{io, panic};
 use trajectory::{Ahead, Trajectory};
@@ -220,6 +223,13 @@ impl core::fmt::Display for Cause {
 
 impl core::error::Error for Cause {}
 
+impl Cause {
+    /// Returns whether the gripper is in FAST STOP.
+    const fn is_fast_stop(self) -> bool {
+        matches!(self, Self::FastStop | Self::Stopped(StopKind::FastStop))
+    }
+}
+
 /// The end of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct End {
@@ -245,6 +255,8 @@ pub enum Rejected {
         /// The length of the queue.
         queue_len: usize,
     },
+    /// The fingers are homing. Set-points are accepted again afterwards.
+    Homing,
     /// The stream has ended.
     Ended(Cause),
 }
@@ -262,6 +274,7 @@ impl core::fmt::Display for Rejected {
             Self::Full { queue_len } => {
                 write!(f, "the queue is full: {queue_len} earlier set-points are waiting")
             }
+            Self::Homing => f.write_str("the fingers are homing"),
             Self::Ended(cause) => write!(f, "the stream has ended: {cause}"),
         }
     }
@@ -307,23 +320,34 @@ impl<E> From<io::Error> for StartError<E> {
     }
 }
 
+/// Receives the result of a request to a stream. It is disconnected if the stream ends first.
+pub type Outcome<E> = mpsc::Receiver<Result<(), Error<E>>>;
+
+/// A request to the worker, and where its result goes.
+#[derive(Debug)]
+enum Request<E> {
+    Home(HomingDirection, mpsc::Sender<Result<(), Error<E>>>),
+    Acknowledge(mpsc::Sender<Result<(), Error<E>>>),
+}
+
 /// A gripper that follows set-points; see the [module](self).
 ///
 /// Its methods lock a mutex that the worker holds for microseconds, never while it waits for the line. Dropping it
 /// stops the fingers and waits for the worker to end.
 #[derive(Debug)]
-pub struct SetPointStream<IO, C> {
+pub struct SetPointStream<IO: ErrorType, C> {
     shared: Arc<Mutex<Shared>>,
     clock: C,
     backend: Backend,
     handle: StopHandle,
+    requests: mpsc::Sender<Request<IO::Error>>,
     /// `None` only during drop.
     worker: Option<JoinHandle<Gripper<IO, C>>>,
 }
 
 impl<IO, C> SetPointStream<IO, C>
 where
-    IO: Transport + Stoppable + Send + 'static,
+    IO: Transport<Error: Send> + Stoppable + Send + 'static,
     C: Clock + Clone + Send + 'static,
 {
     /// Detects the back-end, measures once, and starts the worker. Waits for about ten replies.
@@ -342,15 +366,16 @@ where
         }
         let handle = gripper.stop_handle()?;
         let clock = gripper.clock().clone();
-        let worker = Worker::new(gripper, config)?;
+        let (requests, received) = mpsc::channel();
+        let worker = Worker::new(gripper, config, received)?;
         let (shared, backend) = (Arc::clone(worker.shared()), worker.backend());
         let thread = thread::Builder::new().name("wsg set-points".into());
         let worker = thread.spawn(move || worker.run())?;
-        Ok(Self { shared, clock, backend, handle, worker: Some(worker) })
+        Ok(Self { shared, clock, backend, handle, requests, worker: Some(worker) })
     }
 }
 
-impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
+impl<IO: ErrorType, C: Clock + Clone> SetPointStream<IO, C> {
     /// Returns the driver's time, for [`schedule`](Self::schedule).
     #[must_use]
     pub fn now(&self) -> Instant {
@@ -393,6 +418,9 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
     ) -> Result<(), Rejected> {
         let mut shared = self.open()?;
         shared.check(Quantity::Width, position.0)?;
+        if shared.is_homing {
+            return Err(Rejected::Homing);
+        }
         let Shared { speed_limit, latest, queue_len, .. } = *shared;
         let here = shared.within_stroke(latest.position);
         let begin = || Trajectory::at(here, self.clock.clone().now(), queue_len);
@@ -424,6 +452,45 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         Ok(())
     }
 
+    /// References the fingers at an end stop (command set, 3.2.1). All set-points are dropped, the fingers stop and then move to
+    /// the end stop. Afterwards they stay there until the next set-point. The result is the one of
+    /// [`home`](super::blocking::GripperOver::home), and an error leaves the stream without set-points.
+    ///
+    /// # Errors
+    /// Returns [`Rejected`], and nothing changes: the fingers are homing, or the stream has ended.
+    pub fn home(&self, direction: HomingDirection) -> Result<Outcome<IO::Error>, Rejected> {
+        let mut shared = self.open()?;
+        if shared.is_homing {
+            return Err(Rejected::Homing);
+        }
+        (shared.is_homing, shared.trajectory) = (true, None);
+        Ok(self.request(|result| Request::Home(direction, result)))
+    }
+
+    /// Acknowledges a FAST STOP or a fault (command set, 3.2.5). Make sure that the fingers may move.
+    ///
+    /// A stream that a FAST STOP has ended begins again, without set-points, so that nothing moves before the next one. A
+    /// stream that runs keeps its set-points.
+    ///
+    /// # Errors
+    /// Returns [`Rejected`], and nothing changes: the stream has ended for another reason.
+    pub fn acknowledge(&self) -> Result<Outcome<IO::Error>, Rejected> {
+        match lock(&self.shared).cause {
+            Some(cause) if !cause.is_fast_stop() => Err(Rejected::Ended(cause)),
+            _ => Ok(self.request(Request::Acknowledge)),
+        }
+    }
+
+    fn request(
+        &self,
+        request: impl FnOnce(mpsc::Sender<Result<(), Error<IO::Error>>>) -> Request<IO::Error>,
+    ) -> Outcome<IO::Error> {
+        let (result, outcome) = mpsc::channel();
+        // Without a worker, the outcome is disconnected.
+        let _ = self.requests.send(request(result));
+        outcome
+    }
+
     /// Locks the shared state, unless the stream has ended.
     fn open(&self) -> Result<MutexGuard<'_, Shared>, Rejected> {
         let shared = lock(&self.shared);
@@ -434,7 +501,7 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
     }
 }
 
-impl<IO, C> SetPointStream<IO, C> {
+impl<IO: ErrorType, C> SetPointStream<IO, C> {
     /// Returns the detected back-end.
     #[must_use]
     pub const fn backend(&self) -> Backend {
@@ -454,6 +521,14 @@ impl<IO, C> SetPointStream<IO, C> {
     #[must_use]
     pub fn history(&self) -> Vec<Sample> {
         lock(&self.shared).history.iter().copied().collect()
+    }
+
+    /// Returns a reader of the samples after this moment, which keeps the newest `buffer` samples for a slow caller, at most
+    /// [`HISTORY_LEN`] and at least one.
+    #[must_use]
+    pub fn samples(&self, buffer: usize) -> Samples {
+        let last = lock(&self.shared).latest.number;
+        Samples { shared: Arc::clone(&self.shared), last, buffer: buffer.clamp(1, HISTORY_LEN), dropped: 0 }
     }
 
     /// Returns the last [`GAPS_LEN`] gaps, oldest first, also after the end of the stream.
@@ -496,8 +571,8 @@ impl<IO, C> SetPointStream<IO, C> {
     fn join(&mut self) -> Option<thread::Result<(Gripper<IO, C>, End)>> {
         let worker = self.worker.take()?;
         let mut shared = lock(&self.shared);
+        shared.is_end_requested = true;
         if shared.cause.is_none() {
-            shared.is_end_requested = true;
             // Also wakes the worker, which ends by its flag if the line accepts no Stop.
             let _ = self.handle.stop();
         }
@@ -508,9 +583,48 @@ impl<IO, C> SetPointStream<IO, C> {
     }
 }
 
-impl<IO, C> Drop for SetPointStream<IO, C> {
+impl<IO: ErrorType, C> Drop for SetPointStream<IO, C> {
     fn drop(&mut self) {
         let _ = self.join();
+    }
+}
+
+/// Returns each new sample of a stream once, from any thread.
+#[derive(Clone, Debug)]
+pub struct Samples {
+    shared: Arc<Mutex<Shared>>,
+    /// Number of the last returned sample.
+    last: u32,
+    buffer: usize,
+    dropped: u64,
+}
+
+impl Samples {
+    /// Waits for the next sample for at most `within`, and returns `None` if none arrives.
+    ///
+    /// # Errors
+    /// Returns the reason for the end of the stream, when all samples before it have been returned.
+    pub fn next_within(&mut self, within: Duration) -> Result<Option<Sample>, Cause> {
+        let shared = lock(&self.shared);
+        let recorded = Arc::clone(&shared.recorded);
+        let is_idle = |shared: &mut Shared| shared.latest.number == self.last && shared.cause.is_none();
+        let waited = recorded.wait_timeout_while(shared, within, is_idle);
+        let (shared, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let new = shared.latest.number.wrapping_sub(self.last) as usize;
+        if new == 0 {
+            return shared.cause.map_or(Ok(None), Err);
+        }
+        let kept = new.min(self.buffer).min(shared.history.len());
+        let sample = shared.history.get(shared.history.len().saturating_sub(kept)).copied();
+        self.dropped = self.dropped.saturating_add(new.saturating_sub(kept) as u64);
+        self.last = sample.map_or(self.last, |sample| sample.number);
+        Ok(sample)
+    }
+
+    /// Returns the number of samples that newer ones have replaced before they were returned.
+    #[must_use]
+    pub const fn dropped(&self) -> u64 {
+        self.dropped
     }
 }
 
@@ -525,9 +639,13 @@ struct Shared {
     queue_len: usize,
     latest: Sample,
     history: VecDeque<Sample>,
+    /// Notified of each sample and of the end.
+    recorded: Arc<Condvar>,
     gaps: VecDeque<Gap>,
     exchanges: Exchanges,
     is_end_requested: bool,
+    /// Whether homing was requested and has not ended. Nothing else moves the fingers meanwhile.
+    is_homing: bool,
     /// The reason why the worker ends. From then on, a stop has no effect on it.
     cause: Option<Cause>,
     end: Option<End>,
@@ -571,6 +689,7 @@ impl Shared {
             self.history.pop_back();
         }
         keep(&mut self.history, self.latest, HISTORY_LEN);
+        self.recorded.notify_all();
     }
 }
 
@@ -610,6 +729,7 @@ mod tests {
             let rejected = Rejected::Ended(cause).to_string();
             assert!(rejected.contains("the stream has ended") && rejected.contains(text), "{rejected}");
         }
+        assert!(Rejected::Homing.to_string().contains("homing"));
         assert!(Rejected::Full { queue_len: 17 }.to_string().contains("17 earlier"));
         for (ahead_ms, text) in [(4_000_000, "4000 s ahead"), (i32::MIN, "2147483 s in the past")] {
             let rejected = Rejected::BeyondHorizon { ahead_ms }.to_string();

@@ -7,7 +7,7 @@ use super::script::{
     stream_order, umi_answer, umi_order,
 };
 use super::{
-    Backend, Cause, Config, End, GAPS_LEN, Gap, HISTORY_LEN, MAX_GAP_MS, Sample, Shared, keep, lock,
+    Backend, Cause, Config, End, GAPS_LEN, Gap, HISTORY_LEN, MAX_GAP_MS, Request, Sample, Shared, keep, lock,
 };
 use crate::command::Command;
 use crate::driver::blocking::{Gripper, Transport};
@@ -18,9 +18,10 @@ use crate::frame::Frame;
 use crate::reply::Reply;
 use crate::session::{MISMATCH, Topic};
 use crate::time::Instant;
-use crate::types::{AutoUpdate, Status, SystemFlags};
+use crate::types::{AutoUpdate, HomingDirection, Status, SystemFlags};
+use embedded_io::ErrorType;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, mpsc};
 
 /// How late an answer or a period may be, in ms, before it counts as a gap.
 const GAP_MS: u32 = 100;
@@ -34,9 +35,15 @@ const UPDATE_PERIOD_MS: u16 = 25;
 /// The subscriptions of [`Backend::PrePosition`].
 const TOPICS: [Topic; 3] = [Topic::Width, Topic::Speed, Topic::Force];
 
+/// How long the worker of a stream that a FAST STOP has ended waits for bytes before it looks for requests, in ms.
+const PARKED_MS: u32 = 20;
+
+/// A homing that has begun, and where its result goes.
+type Homing<E> = (Pending<()>, mpsc::Sender<Result<(), Error<E>>>);
+
 /// The gripper, following the trajectory.
 #[derive(Debug)]
-pub(super) struct Worker<IO, C> {
+pub(super) struct Worker<IO: ErrorType, C> {
     gripper: Gripper<IO, C>,
     clock: C,
     shared: Arc<Mutex<Shared>>,
@@ -47,6 +54,8 @@ pub(super) struct Worker<IO, C> {
     /// The last ordered position in mm.
     set_point: Option<f32>,
     segment: Segment,
+    requests: mpsc::Receiver<Request<IO::Error>>,
+    homing: Option<Homing<IO::Error>>,
 }
 
 /// The state of the Pre-position back-end.
@@ -65,7 +74,11 @@ struct Segment {
 
 impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Detects the back-end and measures once.
-    pub(super) fn new(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, Error<IO::Error>> {
+    pub(super) fn new(
+        mut gripper: Gripper<IO, C>,
+        config: Config,
+        requests: mpsc::Receiver<Request<IO::Error>>,
+    ) -> Result<Self, Error<IO::Error>> {
         let mut clock = gripper.clock().clone();
         gripper.engine.link_mut().tolerate_late_answers(true);
         let limits = gripper.limits()?;
@@ -112,9 +125,11 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             queue_len: config.queue_len,
             latest,
             history,
+            recorded: Arc::default(),
             gaps: VecDeque::new(),
             exchanges,
             is_end_requested: false,
+            is_homing: false,
             cause: None,
             end: None,
         }));
@@ -127,6 +142,8 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             due: received_at,
             set_point: None,
             segment: Segment { pending: None, end: position, way: 0.0, blocked: 0.0, force_limit },
+            requests,
+            homing: None,
         })
     }
 
@@ -140,24 +157,138 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
 
     /// Follows the trajectory until the stream ends, and returns the gripper.
     pub(super) fn run(mut self) -> Gripper<IO, C> {
-        self.due = self.clock.now();
-        let mut pace = Pace::new(self.rate_hz, self.due);
-        let cause = loop {
-            let followed = self.turn().and_then(|()| {
-                let due = pace.next(self.clock.now());
-                self.rest(due)
-            });
-            if let Err(cause) = followed {
-                break cause;
+        loop {
+            self.due = self.clock.now();
+            let mut pace = Pace::new(self.rate_hz, self.due);
+            let cause = loop {
+                let followed = self.turn().and_then(|()| {
+                    let due = pace.next(self.clock.now());
+                    self.rest(due)
+                });
+                if let Err(cause) = followed {
+                    break cause;
+                }
+            };
+            if !self.finish(cause).is_fast_stop() || !self.wait_for_acknowledge() {
+                return self.gripper;
             }
-        };
-        self.finish(cause)
+        }
+    }
+
+    /// After a FAST STOP, keeps the connection alive until the caller acknowledges it. Returns whether the stream begins again.
+    fn wait_for_acknowledge(&mut self) -> bool {
+        loop {
+            if lock(&self.shared).is_end_requested {
+                return false;
+            }
+            match self.gripper.next_update(PARKED_MS) {
+                Ok(_) | Err(Error::Stopped(_)) if self.gripper.is_connected() => {}
+                _ => return false,
+            }
+            match self.requests.try_recv() {
+                Ok(Request::Acknowledge(result)) => {
+                    let begun = self.gripper.acknowledge().and_then(|()| self.begin_again());
+                    let is_begun = begun.is_ok();
+                    // The caller may have gone.
+                    let _ = result.send(begun);
+                    if is_begun {
+                        return true;
+                    }
+                }
+                Ok(Request::Home(..)) | Err(mpsc::TryRecvError::Empty) => {}
+                Err(mpsc::TryRecvError::Disconnected) => return false,
+            }
+        }
+    }
+
+    /// Begins again without set-points, with a new sample.
+    fn begin_again(&mut self) -> Result<(), Error<IO::Error>> {
+        self.forget_set_points();
+        if self.backend == Backend::PrePosition {
+            for topic in TOPICS {
+                self.gripper.subscribe(topic, AutoUpdate::every(UPDATE_PERIOD_MS));
+            }
+        }
+        self.measure()?;
+        self.gripper.engine.link_mut().tolerate_late_answers(true);
+        let mut shared = lock(&self.shared);
+        (shared.cause, shared.end) = (None, None);
+        Ok(())
+    }
+
+    /// Drops all set-points, and the segment that has ended.
+    fn forget_set_points(&mut self) {
+        let mut shared = lock(&self.shared);
+        (shared.trajectory, self.set_point) = (None, None);
+        let end = shared.latest.position;
+        self.segment = Segment { pending: None, end, way: 0.0, blocked: 0.0, ..self.segment };
+    }
+
+    /// Serves the next request of the caller.
+    fn serve(&mut self) -> Result<(), Cause> {
+        match self.requests.try_recv() {
+            Ok(Request::Acknowledge(result)) => answer(&result, self.gripper.acknowledge())?,
+            Ok(Request::Home(direction, result)) => match self.begin_homing(direction) {
+                Ok(pending) => self.homing = Some((pending, result)),
+                Err(refused) => self.end_homing(&result, Err(refused))?,
+            },
+            Err(_) => {}
+        }
+        let Some((pending, result)) = self.homing.take() else { return Ok(()) };
+        match self.gripper.poll(&pending) {
+            Ok(None) => self.homing = Some((pending, result)),
+            Ok(Some(())) => self.end_homing(&result, Ok(()))?,
+            Err(error) => self.end_homing(&result, Err(error))?,
+        }
+        Ok(())
+    }
+
+    /// Stops the fingers and begins to home.
+    fn begin_homing(&mut self, direction: HomingDirection) -> Result<Pending<()>, Error<IO::Error>> {
+        self.gripper.stop()?;
+        if let Some(pending) = &self.segment.pending {
+            // Fetches the result; otherwise the homing would be rejected.
+            let _ = self.gripper.wait(pending);
+        }
+        if self.backend == Backend::Script {
+            // Otherwise the script refuses the next set-point because of the Stop.
+            exchange(&mut self.gripper, self.backend, None)?;
+        }
+        self.forget_set_points();
+        self.gripper.begin_home(direction)
+    }
+
+    fn end_homing(
+        &mut self,
+        result: &mpsc::Sender<Result<(), Error<IO::Error>>>,
+        ended: Result<(), Error<IO::Error>>,
+    ) -> Result<(), Cause> {
+        self.forget_set_points();
+        lock(&self.shared).is_homing = false;
+        answer(result, ended)
+    }
+
+    /// Records the state by queries, which every gripper answers at any time.
+    fn measure(&mut self) -> Result<(), Error<IO::Error>> {
+        let flags = self.gripper.system_state()?;
+        let (speed, force) = (self.gripper.speed()?.0, self.gripper.force()?.0);
+        let position = self.gripper.width()?.0;
+        let measured = Measured { flags, position, speed, force, measured_ms: None };
+        lock(&self.shared).record(self.clock.now(), &measured, self.set_point);
+        Ok(())
     }
 
     /// Sends the orders that are due.
     fn turn(&mut self) -> Result<(), Cause> {
         let now = self.clock.now();
         self.check_pause(now)?;
+        self.serve()?;
+        let is_referenced =
+            self.gripper.known().flags.is_some_and(|flags| flags.contains(SystemFlags::REFERENCED));
+        if self.homing.is_some() || (self.backend == Backend::PrePosition && !is_referenced) {
+            // A script is not called during a motion of the driver, and no gripper sends updates of the width before homing.
+            self.measure().map_err(cause_of)?;
+        }
         let order = {
             let mut shared = lock(&self.shared);
             if shared.is_end_requested {
@@ -167,6 +298,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         };
         self.set_point = order.map(|order| order.position);
         match self.backend {
+            _ if self.homing.is_some() => {}
             Backend::PrePosition => self.pre_position(now, order)?,
             Backend::Script | Backend::UmiScript => {
                 let latest = lock(&self.shared).latest;
@@ -312,18 +444,20 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         Ok(())
     }
 
-    /// Stops the fingers and reports the cause.
-    fn finish(mut self, mut cause: Cause) -> Gripper<IO, C> {
+    /// Stops the fingers, reports the cause and returns it.
+    fn finish(&mut self, mut cause: Cause) -> Cause {
         self.gripper.engine.link_mut().tolerate_late_answers(false);
         {
             let mut shared = lock(&self.shared);
             if shared.is_end_requested && cause == Cause::Stopped(StopKind::Stop) {
                 cause = Cause::Requested;
             }
-            shared.cause = Some(cause);
+            (shared.cause, shared.is_homing) = (Some(cause), false);
+            shared.recorded.notify_all();
         }
+        let homing = self.homing.take().map(|(pending, _)| pending);
         let is_stop_confirmed = self.gripper.stop().is_ok();
-        if is_stop_confirmed && let Some(pending) = &self.segment.pending {
+        if is_stop_confirmed && let Some(pending) = &homing.or(self.segment.pending) {
             // Fetches the result; otherwise the next motion would be rejected.
             let _ = self.gripper.wait(pending);
         }
@@ -348,9 +482,22 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let mut shared = lock(&self.shared);
         shared.cause = Some(cause);
         shared.end = Some(End { cause, is_stop_confirmed });
-        drop(shared);
-        self.gripper
+        cause
     }
+}
+
+/// Passes the outcome of a request to the caller, which may have gone. Fails if it was stopped, which ends the stream.
+fn answer<E>(
+    result: &mpsc::Sender<Result<(), Error<E>>>,
+    outcome: Result<(), Error<E>>,
+) -> Result<(), Cause> {
+    let ended = match outcome {
+        Err(Error::Stopped(kind)) => Err(Cause::Stopped(kind)),
+        Err(Error::Aborted) => Err(Cause::StoppedByOther),
+        _ => Ok(()),
+    };
+    let _ = result.send(outcome);
+    ended
 }
 
 /// Sends an order with the latest sample to the script, or only measures, and returns the state. Returns `None` for a
@@ -468,7 +615,7 @@ mod tests {
         }
         let mut gripper = Gripper::<_, _>::with_config(rig.clone(), Watch(rig.clone()), config);
         gripper.connect().unwrap();
-        let worker = Worker::new(gripper, Config::DEFAULT).unwrap();
+        let worker = Worker::new(gripper, Config::DEFAULT, mpsc::channel().1).unwrap();
         assert_eq!(worker.backend(), backend);
         (rig, worker)
     }
@@ -553,10 +700,10 @@ mod tests {
         for (is_end_requested, cause, end) in
             [(true, stop, Cause::Requested), (false, stop, stop), (true, fast_stop, fast_stop)]
         {
-            let (_rig, worker) = worker(Backend::PrePosition);
+            let (_rig, mut worker) = worker(Backend::PrePosition);
             let shared = Arc::clone(worker.shared());
             lock(&shared).is_end_requested = is_end_requested;
-            let _gripper = worker.finish(cause);
+            worker.finish(cause);
             assert_eq!(lock(&shared).end, Some(End { cause: end, is_stop_confirmed: true }));
         }
     }
@@ -564,13 +711,13 @@ mod tests {
     #[test]
     fn script_is_ended_only_after_a_confirmed_stop() {
         for is_stop_confirmed in [true, false] {
-            let (rig, worker) = worker(Backend::Script);
+            let (rig, mut worker) = worker(Backend::Script);
             let shared = Arc::clone(worker.shared());
             if !is_stop_confirmed {
                 rig.script_status(CommandId::Stop, Status::CmdFailed);
             }
             let before = rig.received(CommandId::Unknown(STREAM_ID));
-            let _gripper = worker.finish(Cause::Unanswered);
+            worker.finish(Cause::Unanswered);
             let end = End { cause: Cause::Unanswered, is_stop_confirmed };
             assert_eq!(lock(&shared).end, Some(end));
             let ended = rig.received(CommandId::Unknown(STREAM_ID)) - before;
