@@ -15,6 +15,7 @@ use wsg_protocol::driver::{Error, MotionResult, Pending, StopHandle, StopKind};
 use crate::error::{self, Failure};
 use crate::interpreter::process;
 use crate::line::{Calls, Clock, Line};
+use crate::updates::Feed;
 
 /// A driver of either protocol.
 pub(crate) enum Driver {
@@ -42,6 +43,8 @@ pub(crate) struct Core {
     stops: AtomicUsize,
     /// The thread that uses the driver.
     owner: Mutex<Option<ThreadId>>,
+    /// The subscription of this connection.
+    feed: Mutex<Option<Arc<Feed>>>,
     /// The process that opened the line. A forked child must not use it.
     process: usize,
 }
@@ -106,6 +109,7 @@ impl Core {
             handle,
             stops: AtomicUsize::new(0),
             owner: Mutex::new(None),
+            feed: Mutex::new(None),
             process: process(),
         });
         core.with(true, |driver| each!(driver, gripper => gripper.connect()))?;
@@ -179,17 +183,73 @@ impl Core {
         loop {
             let wait = |driver: &mut Driver| each!(driver, gripper => gripper.wait(pending));
             match self.with_calls(handles_signals, Stage::Wait, wait) {
-                Err(Failed::Yielded) => {
-                    while self.calls.waiting.load(SeqCst) > 0 {
-                        thread::yield_now();
-                    }
-                }
+                Err(Failed::Yielded) => self.let_pass(),
                 // The thread that stopped the gripper received the confirmation before this one.
                 Err(Failed::Driver(Error::Aborted)) if self.stops() != stops => {
                     return Err(Error::Stopped(StopKind::Stop).into());
                 }
                 result => return result,
             }
+        }
+    }
+
+    /// Lets the waiting requests pass.
+    fn let_pass(&self) {
+        while self.calls.waiting.load(SeqCst) > 0 {
+            thread::yield_now();
+        }
+    }
+
+    /// Registers a subscription. Returns whether there is no other one.
+    pub(crate) fn begin_updates(&self, feed: &Arc<Feed>) -> Result<bool, Failed> {
+        if !self.is_open() {
+            return Err(Error::NotConnected.into());
+        }
+        let mut current = lock(&self.feed);
+        let is_free = current.as_ref().is_none_or(|other| other.is_over());
+        if is_free {
+            *current = Some(Arc::clone(feed));
+        }
+        Ok(is_free)
+    }
+
+    /// Receives updates for a moment, and lets other requests pass. Returns whether the subscription continues.
+    pub(crate) fn receive_updates(&self, feed: &Feed) -> bool {
+        let receive = |driver: &mut Driver| each!(driver, gripper => feed.receive(gripper));
+        if let Err(Failed::Driver(failure)) = self.with_calls(false, Stage::Wait, receive) {
+            feed.end(Some(failure));
+        }
+        self.let_pass();
+        feed.is_running()
+    }
+
+    /// Makes the gripper send no more updates.
+    pub(crate) fn unsubscribe(&self, feed: &Feed) {
+        // Without a connection there is nothing to end.
+        let _ = self.with(false, |driver| each!(driver, gripper => feed.unsubscribe(gripper)));
+    }
+
+    /// Ends a subscription, with a failure unless its reader has closed it, and waits for the end.
+    pub(crate) fn end_updates(&self, feed: &Feed, failure: Option<Failure>) {
+        feed.end(failure);
+        if self.is_foreign() || self.is_called_by_this_thread() {
+            return;
+        }
+        if feed.is_pulled && !feed.is_over() {
+            self.unsubscribe(feed);
+            feed.set_over();
+        }
+        feed.wait_for_end();
+    }
+
+    /// Ends the subscription of this connection.
+    fn end_own_updates(&self) {
+        if self.is_foreign() {
+            return;
+        }
+        let feed = lock(&self.feed).take();
+        if let Some(feed) = feed {
+            self.end_updates(&feed, Some(Error::NotConnected));
         }
     }
 
@@ -233,6 +293,7 @@ impl Core {
         if self.is_foreign() || self.is_called_by_this_thread() {
             return;
         }
+        self.end_own_updates();
         self.calls.waiting.fetch_add(1, SeqCst);
         let driver = lock(&self.driver).take();
         self.calls.waiting.fetch_sub(1, SeqCst);
@@ -255,7 +316,7 @@ impl Core {
     }
 
     /// Returns whether another process opened the line.
-    fn is_foreign(&self) -> bool {
+    pub(crate) fn is_foreign(&self) -> bool {
         self.process != process()
     }
 
@@ -275,6 +336,8 @@ impl Drop for Core {
 
 impl Close for Core {
     fn close_at_exit(&self) {
+        // They would keep the driver in use.
+        self.end_own_updates();
         if !self.is_foreign() && self.driver.try_lock().is_err() {
             let _ = self.send_stop(StopKind::Stop);
         }

@@ -21,6 +21,7 @@ use crate::interpreter::detach;
 use crate::line::{Calls, Clock, Line};
 use crate::number::shortest;
 use crate::queue::{Queue, Reply};
+use crate::updates::Updates;
 
 /// Longest reply of a script or of a finger, in bytes.
 const MAX_REPLY: usize = 1_024;
@@ -30,6 +31,7 @@ const MAX_REPLY: usize = 1_024;
 pub(crate) struct Driver {
     core: Arc<Core>,
     is_gcl: bool,
+    is_virtual: bool,
     /// The queues of motions and of all other requests, which pass them.
     motions: Queue,
     queries: Queue,
@@ -46,6 +48,7 @@ pub(crate) fn connect(
 ) -> Result<Driver, Failed> {
     let calls = Arc::new(Calls::default());
     let line = Line::new(wire, Arc::clone(&calls));
+    let is_virtual = matches!(clock, Clock::Virtual(_));
     let driver = if is_gcl {
         let mut gripper = GclGripper::new(line, clock);
         if let Some(limits) = limits {
@@ -56,7 +59,7 @@ pub(crate) fn connect(
         core::Driver::Binary(Box::new(Gripper::new(line, clock)))
     };
     let core = Core::connect(driver, calls)?;
-    Ok(Driver { core, is_gcl, motions: Queue::default(), queries: Queue::default() })
+    Ok(Driver { core, is_gcl, is_virtual, motions: Queue::default(), queries: Queue::default() })
 }
 
 /// A motion that has begun.
@@ -111,7 +114,7 @@ impl Motion {
     }
 }
 
-fn homing(direction: u8) -> Result<HomingDirection, Failure> {
+pub(crate) fn homing(direction: u8) -> Result<HomingDirection, Failure> {
     HomingDirection::from_code(direction).ok_or(Error::Invalid(DecodeError::UndefinedValue))
 }
 
@@ -216,6 +219,19 @@ driver_methods! {
         /// Returns whether the connection uses the text protocol (GCL).
         fn is_gcl(&self) -> bool {
             self.is_gcl
+        }
+
+        /// Begins automatic updates at an interval in s, and returns at once.
+        fn subscribe(
+            &self,
+            py: Python<'_>,
+            interval: Option<f64>,
+            width: bool,
+            speed: bool,
+            force: bool,
+            buffer: usize,
+        ) -> PyResult<Updates> {
+            Updates::begin(py, &self.core, interval, [width, speed, force], buffer, self.is_virtual)
         }
 
         #[pyo3(signature = (is_fast, reply=None))]
@@ -382,7 +398,7 @@ impl Driver {
 }
 
 /// The result of a request without a value. Python receives None for it, and an empty tuple for `()`.
-const NOTHING: Option<bool> = None;
+pub(crate) const NOTHING: Option<bool> = None;
 
 /// A reply of bytes, which Python receives as `bytes`.
 type Bytes = Cow<'static, [u8]>;

@@ -8,17 +8,20 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy
 import pytest
 
 from wsg_gripper import (
+    AbortedError,
     BusyError,
     Gripper,
     HomingDirection,
     InvalidError,
     NotConnectedError,
+    StoppedError,
     StreamEndedError,
     StreamingGripper,
     SystemFlags,
@@ -239,6 +242,101 @@ def test_rate_and_queue_have_limits() -> None:
     for size in (0, 4097):
         with pytest.raises(InvalidError, match="expected 1 to 4096"):
             StreamingGripper("tcp://127.0.0.1", queue_size=size)
+
+
+def started(has_script: bool, folder: Path) -> Simulator:
+    """Return a gripper, with the script or without. Its fingers take a second to home."""
+    script = folder / "wsg_stream.lua"
+    script.write_text(StreamingGripper.SCRIPT)
+    simulator = Simulator(homing_speed=60, **({"script": script} if has_script else {}))
+    if has_script:
+        simulator.wait_for_script()
+    return simulator
+
+
+def assert_at_rest(gripper: StreamingGripper, simulator: Simulator) -> None:
+    """Check that the stream runs without set-points and that the fingers do not move."""
+    assert gripper.ended is None and gripper.latest().set_point is None
+    number, width = gripper.latest().number, simulator.observe().width
+    wait_for(lambda: gripper.latest().number > number + 20)
+    assert gripper.latest().set_point is None and simulator.observe().width == width
+
+
+@pytest.mark.parametrize("has_script", [True, False])
+def test_homing_of_a_running_stream_drops_the_target(has_script: bool, tmp_path: Path) -> None:
+    with started(has_script, tmp_path) as simulator, StreamingGripper(simulator.tcp, home=None) as gripper:
+        # Not referenced: samples arrive nevertheless.
+        wait_for(lambda: gripper.latest().number > 20)
+        assert gripper.latest().flags & SystemFlags.REFERENCED == SystemFlags(0)
+        gripper.home(HomingDirection.OPEN)
+        assert_at_rest(gripper, simulator)
+        gripper.set_speed_limit(60)
+        gripper.set_target(20)
+        gripper.schedule_waypoint(30, time.time() + 5)
+        wait_for(lambda: gripper.latest().position < 90)
+        failures: list[BaseException] = []
+
+        def home() -> None:
+            try:
+                gripper.home(HomingDirection.OPEN)
+            except BaseException as failure:
+                failures.append(failure)
+
+        homing = threading.Thread(target=home)
+        homing.start()
+        wait_for(lambda: gripper.latest().speed > 50 or not homing.is_alive())
+        assert gripper.latest().set_point is None
+        waypoint = partial(gripper.schedule_waypoint, 50, time.time())
+        for request in (gripper.home, partial(gripper.set_target, 50), waypoint):
+            with pytest.raises(BusyError, match="homing"):
+                request()
+        homing.join()
+        assert not failures and simulator.observe().width == 110
+        assert_at_rest(gripper, simulator)
+        gripper.set_target(100)
+        wait_for(lambda: gripper.latest().position < 100.5)
+        assert numpy.asarray(gripper.history())[:, 4].min() > -80, "the speed limit is kept"
+        # A FAST STOP ends a homing, too.
+        threading.Timer(0.2, gripper.fast_stop).start()
+        with pytest.raises((StoppedError, StreamEndedError, AbortedError)):
+            gripper.home(HomingDirection.CLOSE)
+        wait_for(lambda: gripper.ended is not None)
+        with pytest.raises(StreamEndedError, match="FAST STOP"):
+            gripper.home()
+        assert simulator.observe().speed == 0
+
+
+@pytest.mark.parametrize("has_script", [True, False])
+def test_acknowledged_stream_begins_again_without_set_points(has_script: bool, tmp_path: Path) -> None:
+    with started(has_script, tmp_path) as simulator:
+        with Gripper(simulator.udp) as other:
+            other.home()
+            other.fast_stop()
+        with StreamingGripper(simulator.tcp, home=None) as gripper:
+            for stop in (gripper.fast_stop, gripper.fast_stop, None):
+                wait_for(lambda: gripper.ended is not None)
+                number = gripper.history()[-1, 0]
+                with pytest.raises(StreamEndedError, match="FAST STOP"):
+                    gripper.latest()
+                gripper.acknowledge()
+                assert gripper.latest().number > number
+                assert simulator.observe().flags & SystemFlags.FAST_STOP == SystemFlags(0)
+                assert_at_rest(gripper, simulator)
+                here = gripper.latest().position
+                gripper.set_target(here - 20)
+                wait_for(lambda: gripper.latest().position < here - 5)
+                # Without a FAST STOP it changes nothing.
+                gripper.acknowledge()
+                assert gripper.latest().set_point is not None
+                if stop:
+                    stop()
+            with Gripper(simulator.udp) as other:
+                gripper.set_target(100)
+                wait_for(lambda: gripper.latest().speed > 5)
+                other.stop()
+                wait_for(lambda: gripper.ended is not None)
+            with pytest.raises(StreamEndedError, match="another client"):
+                gripper.acknowledge()
 
 
 @contextmanager
