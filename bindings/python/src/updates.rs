@@ -356,7 +356,7 @@ pub(crate) fn check_buffer(py: Python<'_>, buffer: usize) -> PyResult<()> {
 
 #[pymethods]
 impl Updates {
-    /// Returns the next reading, or None if there is none yet. Raises StopIteration after `close`, and the cause of another end.
+    /// Returns the next reading, or None if it has not arrived. Raises StopIteration after `close`, and the cause of another end.
     fn take(&self, py: Python<'_>) -> PyResult<Option<Row>> {
         if self.is_foreign() {
             return Err(Failed::from(Error::NotConnected).into_exception(py));
