@@ -43,16 +43,32 @@ struct Model {
     masters: [u64; 2],
     /// The last images of the cyclic masters, since they enabled their outputs.
     cyclic: [Option<OutputImage>; 2],
-    /// The connection that wrote last, until it is silent, and the one that began the present jog.
-    writer: Option<u64>,
-    jogger: Option<u64>,
-    /// Time of the last request of the jogger, or of the writer without a jog.
-    received_ms: Option<u32>,
+    plc: Plc,
     /// When the connection to the gripper is restored; `None` while there is one.
     restored_ms: Option<u32>,
     /// Time between two turns, in milliseconds.
     step_ms: u32,
     ends: Ends,
+}
+
+/// The PLC, until it is silent.
+#[derive(Default)]
+struct Plc {
+    /// The master that wrote last, and the one that began the present jog.
+    writer: Option<u64>,
+    jogger: Option<u64>,
+    /// Time of the last data of the jogger, or of the writer without a jog.
+    received_ms: Option<u32>,
+}
+
+impl Plc {
+    fn is(&self, master: u64) -> bool {
+        [self.writer, self.jogger].contains(&Some(master))
+    }
+
+    fn is_silent(&self, now_ms: u32, timeout_ms: u32) -> bool {
+        timeout_ms > 0 && self.received_ms.is_some_and(|received_ms| now_ms - received_ms >= timeout_ms)
+    }
 }
 
 /// What happens in a turn.
@@ -119,9 +135,7 @@ impl Model {
             tracked: Tracked::new(&delivered.record()),
             masters: [0, 1],
             cyclic: [None; 2],
-            writer: None,
-            jogger: None,
-            received_ms: None,
+            plc: Plc::default(),
             restored_ms: None,
             step_ms: 1,
             ends,
@@ -148,8 +162,8 @@ impl Model {
         if self.modbus.end_jog(number) {
             self.station.bridge().silence(SilenceReaction::Hold);
         }
-        if self.jogger == Some(number) {
-            self.jogger = None;
+        if self.plc.jogger == Some(number) {
+            self.plc.jogger = None;
             self.run(Event::JogEnded);
         }
     }
@@ -202,13 +216,10 @@ impl Model {
         if matches!(event, Event::JogEnded) {
             requests.end_jog();
         }
-        let timeout_ms = tracked.timeout_ms();
-        let is_late = |received_ms| timeout_ms > 0 && now_ms - received_ms >= timeout_ms;
-        let has_left = |master| [self.writer, self.jogger].contains(&Some(number(master)));
-        let has_left = matches!(event, Event::Left(master) if has_left(master));
-        if is_paused || has_left || self.received_ms.is_some_and(is_late) {
-            (self.writer, self.jogger, self.received_ms) = (None, None, None);
-            let commands = station.bridge().control_source() == ControlSource::Bus;
+        let commands = station.bridge().control_source() == ControlSource::Bus;
+        let has_left = matches!(event, Event::Left(master) if self.plc.is(number(master)));
+        if is_paused || has_left || self.plc.is_silent(now_ms, tracked.timeout_ms()) {
+            self.plc = Plc::default();
             requests.lose_bus(commands && tracked.stops_at_silence());
         }
         let (master, written) = match event {
@@ -217,8 +228,8 @@ impl Model {
                 _ => (Some(master), None),
             },
             Event::Image(master, image, before) => {
-                let is_written = self.writer.is_none() || before != Some(image);
-                let held = self.writer.map(|_| before.map_or(CommandFlags::all(), |before| before.flags));
+                let is_written = self.plc.writer.is_none() || before != Some(image);
+                let held = self.plc.writer.map(|_| before.map_or(CommandFlags::all(), |before| before.flags));
                 (Some(number(master)), is_written.then(|| tracked.take_cyclic(image, held)))
             }
             _ => (None, None),
@@ -227,12 +238,17 @@ impl Model {
             let cyclic = self.cyclic.iter().flatten().map(|image| image.flags);
             image.flags |= cyclic.collect::<CommandFlags>() & CommandFlags::FASTSTOP;
             requests.take_image(image, recipe);
-            self.writer = master;
+            self.plc.writer = master;
             let jogs = image.flags.intersects(CommandFlags::JOG);
-            self.jogger = self.jogger.or(master).filter(|_| jogs);
+            self.plc.jogger = self.plc.jogger.or(master).filter(|_| jogs);
         }
-        if master.is_some() && self.jogger.or(self.writer) == master {
-            self.received_ms = Some(now_ms);
+        if master.is_some() && self.plc.jogger.or(self.plc.writer) == master {
+            self.plc.received_ms = Some(now_ms);
+        }
+        // A request may have shortened BUS_TIMEOUT.
+        if self.plc.is_silent(now_ms, tracked.timeout_ms()) {
+            self.plc = Plc::default();
+            requests.lose_bus(commands && tracked.stops_at_silence());
         }
         ends.promises.levels.min_busy_ms = tracked.min_busy_ms();
         // The gateway resets the connection to a silent gripper.
