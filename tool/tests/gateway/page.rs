@@ -7,7 +7,7 @@ use super::*;
 const ON_PAGE: [&str; 2] = ["--page", "127.0.0.1:0"];
 
 /// What the page shows while it has current values, and while it has none.
-const IS_CURRENT: &str = "document.querySelector('#state').textContent === 'connected'
+const IS_CURRENT: &str = "document.querySelector('#state').textContent === 'connected to the gateway'
     && getComputedStyle(document.querySelector('main')).opacity === '1'
     && document.querySelector('h2').textContent.startsWith('127.0.0.1:')";
 const IS_LOST: &str = "document.querySelector('#state').textContent === 'no connection to the gateway'
