@@ -25,7 +25,7 @@ const PERIOD: Duration = Duration::from_millis(100);
 pub(super) struct Shown {
     /// Its name, if it has one, and its address.
     pub(super) heading: String,
-    /// Address on which masters connect, or of the gripper if there is none.
+    /// Address on which masters connect; without Modbus/TCP, of the gripper.
     pub(super) address: String,
     pub(super) gateway: Rc<Gateway>,
     /// The latest values as JSON and text, and their time.

@@ -81,7 +81,7 @@ pub(super) struct Reading {
 }
 
 impl Reading {
-    /// Judges what was read, or why nothing was.
+    /// Judges the read values, or the reason for their absence.
     pub(super) fn new(read: Result<(State, Vec<u16>)>) -> Self {
         let (status, health, reason) = match read.as_ref().map(|(state, _)| state.fault()) {
             Ok(None) => (0, "healthy", None),

@@ -1,5 +1,5 @@
-//! The server of a page without commands, for another program of this workspace. Its connections are limited like those of the
-//! control interface, and `Host` and `Origin` are checked like there.
+//! The server of a page without commands, for another program of this workspace. Its connections have limits like the
+//! connections of the control interface, and `Host` and `Origin` are checked in the same way.
 
 use super::access::{check_host, check_origin};
 use super::answer::{Answer, HttpError, finished, whole};
