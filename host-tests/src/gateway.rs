@@ -18,6 +18,8 @@ pub struct Gateway {
     pub modbus: SocketAddr,
     /// The same address of each gripper.
     pub ports: Vec<SocketAddr>,
+    /// Address of the status page, if the gateway has one.
+    pub page: Option<SocketAddr>,
 }
 
 impl Gateway {
@@ -68,12 +70,16 @@ impl Gateway {
     pub fn spawn(mut command: Command, grippers: usize) -> Self {
         let mut process = command.spawn().expect("wsg starts");
         let lines = BufReader::new(process.stdout.take().expect("stdout is piped")).lines();
-        let ports = lines
-            .map_while(Result::ok)
-            .filter_map(|line| line.strip_prefix("modbus   ")?.split(',').next()?.parse().ok());
+        let mut page = None;
+        let ports = lines.map_while(Result::ok).filter_map(|line| {
+            let url =
+                line.strip_prefix("page     http://").and_then(|url| url.trim_end_matches('/').parse().ok());
+            page = page.or(url);
+            line.strip_prefix("modbus   ")?.split(',').next()?.parse().ok()
+        });
         let ports: Vec<_> = ports.take(grippers).collect();
         assert_eq!(ports.len(), grippers, "the gateway prints an address for each gripper");
-        Self { process, modbus: ports[0], ports }
+        Self { process, modbus: ports[0], ports, page }
     }
 
     /// Kills the process, and returns its messages. Call this once.

@@ -2,6 +2,8 @@
 //! lines are tested with the other ways in to a gripper: `host-tests/tests/surfaces`.
 #![cfg(unix)]
 
+#[path = "gateway/page.rs"]
+mod page;
 #[path = "common/program.rs"]
 mod program;
 
@@ -93,13 +95,14 @@ impl Rig {
         Self { grippers, address, gateway, cuts: Arc::default(), _folder: folder }
     }
 
-    /// Starts a gateway with two grippers on one port, units 1 and 2.
+    /// Starts a gateway with a page, and with two grippers on one port, units 1 and 2.
     fn of_two() -> Self {
         let grippers = [(); 2].map(|()| serve("127.0.0.1:0".parse().unwrap()));
         let address = |gripper: &ServerThread| gripper.tcp_address().unwrap();
         let [left, right] = [address(&grippers[0]), address(&grippers[1])];
         let folder = Folder::with(&format!(
-            "[[gripper]]\ngripper = \"tcp://{left}\"\nmodbus = \"127.0.0.1:0\"\nunit = 1\n\
+            "page = \"127.0.0.1:0\"\n\
+             [[gripper]]\ngripper = \"tcp://{left}\"\nmodbus = \"127.0.0.1:0\"\nunit = 1\n\
              [[gripper]]\nname = \"right\"\ngripper = \"tcp://{right}\"\nmodbus = \"127.0.0.1:0\"\nunit = 2\n\
              [gripper.delivered]\nBUS_TIMEOUT = 2500\n"
         ));
@@ -832,6 +835,7 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
             "cannot be used with",
         ),
         (&["gateway", "--config", "missing.toml"], 1, "cannot read missing.toml"),
+        (&["gateway", "--config", "x", "--page", "localhost:0"], 2, "cannot be used with '--page <ADDR>'"),
         (&["gateway", "--gripper", "tcp://h", "--profinet", "no-card"], 1, "no-card"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
         (&["gateway", "--gripper", "tcp://h", "status", "h"], 2, "cannot be used with"),

@@ -7,7 +7,7 @@ use std::cell::RefCell;
 use std::fmt::Display;
 use std::future::poll_fn;
 use std::io;
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv4Addr};
 use std::rc::Rc;
 use std::sync::OnceLock;
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -21,13 +21,15 @@ use tokio::task::yield_now;
 use tokio::time::sleep;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS};
 use wsg_bridge_fw::{BoardId, Bridge, Config, ResetCause, Station};
 use wsg_fieldbus::{InputImage, SilenceReaction};
 use wsg_protocol::{Status, SystemFlags};
 
 use super::config::GripperConfig;
 use super::line::{GripperLine, Stream};
-use crate::bridge::gateway_reports::Measured;
+use crate::bridge::State;
+use crate::bridge::gateway_reports::{self, Measured};
 use crate::file_flash::FileFlash;
 use crate::gripper::Address;
 use crate::{Severity, print_message};
@@ -222,6 +224,30 @@ impl Gateway {
         let (masters, measured) = (self.masters.borrow(), &mut self.host.borrow_mut().measured);
         (measured.masters, measured.master_connections) = (masters.open.len(), masters.connections);
         measured.answer(pdu, response).unwrap_or(len)
+    }
+
+    /// Reads what [`read_gateway`](crate::bridge::read_gateway) reads, as one more master that never writes, but without a
+    /// connection, which would be counted. Returns `None` after a pause.
+    pub(super) fn read(&self) -> Option<(State, Vec<u16>)> {
+        // The first request for the image subscribes to width and force.
+        let image = self.read_registers(4, 0, (InputImage::LEN / 2) as u16);
+        let image: Option<Vec<u8>> = image.map(|it| it.into_iter().flat_map(u16::to_be_bytes).collect());
+        let settings = self.read_registers(3, FIRST_SETTING, SETTINGS.len() as u16)?;
+        let reports = self.read_registers(4, FIRST_REPORT, REPORTS.len() as u16)?;
+        let own = self.read_registers(4, gateway_reports::FIRST, gateway_reports::LEN)?;
+        let image = image.and_then(|bytes| bytes.try_into().ok()).map(InputImage::from_bytes);
+        Some((State { settings: Record::try_from(settings).ok()?, reports, image }, own))
+    }
+
+    /// Reads holding (3) or input (4) registers. Returns `None` after an exception, and after a pause.
+    fn read_registers(&self, function: u8, first: u16, count: u16) -> Option<Vec<u16>> {
+        let ([a1, a0], [q1, q0]) = (first.to_be_bytes(), count.to_be_bytes());
+        let mut response = [0; MAX_PDU_LEN];
+        let reader = (self.number(), Ipv4Addr::UNSPECIFIED.into());
+        let len = self.serve(reader, &[function, a1, a0, q1, q0], &mut response);
+        let [code, _, bytes @ ..] = response.get(..len)? else { return None };
+        (*code == function)
+            .then(|| bytes.as_chunks().0.iter().map(|word| u16::from_be_bytes(*word)).collect())
     }
 
     /// Returns whether this master wrote last.
@@ -467,14 +493,14 @@ impl Host {
 /// Returns the time since the computer's start. It includes the time for which the computer was suspended: a request from before must
 /// be found too old after it.
 #[cfg(target_os = "linux")]
-fn uptime() -> Duration {
+pub(super) fn uptime() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
 }
 
 /// Returns the time since the first call. On Windows, it includes the time for which the computer was suspended.
 #[cfg(not(target_os = "linux"))]
-fn uptime() -> Duration {
+pub(super) fn uptime() -> Duration {
     static FIRST: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
     FIRST.elapsed()
 }

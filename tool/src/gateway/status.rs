@@ -59,42 +59,58 @@ pub(super) fn run(arguments: &Arguments) -> Result<u8> {
     for (gateway, reading) in readings {
         let read = reading.recv_timeout(end.saturating_duration_since(Instant::now()));
         let read = read.unwrap_or_else(|_| Err(anyhow!("no answer within {} s", TIME_OUT.as_secs())));
-        let fault = read.as_ref().map(|(state, _)| state.fault());
-        let (own, health) = match &fault {
-            Ok(None) => (0, "healthy"),
-            Ok(Some(_)) => (NOT_HEALTHY, "not healthy"),
-            Err(_) => (NO_CONNECTION, "no connection"),
-        };
-        status = status.max(own);
-        let reason = match fault {
-            Ok(fault) => fault,
-            Err(error) => Some(format!("{error:#}")),
-        };
-        let read = read.ok().map(|(state, registers)| (state, map(&registers)));
-        if arguments.json {
-            let (reports, bridge, events) = match &read {
-                Some((state, reports)) => (json!(reports), state.json(), state.events_json()),
-                None => (Value::Null, Value::Null, Value::Null),
-            };
-            let object = json!({
-                "gateway": gateway, "health": health, "reason": reason,
-                "reports": reports, "bridge": bridge, "events": events,
-            });
-            writeln!(io::stdout(), "{object}")?;
-            continue;
-        }
-        let reason = reason.map(|reason| format!(": {}", one_line(&reason))).unwrap_or_default();
-        match read {
-            Some((state, reports)) => write!(
-                io::stdout(),
-                "gateway    {gateway} is {health}{reason}\n{}{}",
-                state.summary(),
-                lines(&state, &reports)
-            )?,
-            None => print_error(format_args!("{gateway}{reason}")),
+        let read = Reading::new(read);
+        status = status.max(read.status);
+        match read.text(gateway) {
+            _ if arguments.json => writeln!(io::stdout(), "{}", read.json(gateway))?,
+            Ok(text) => io::stdout().write_all(text.as_bytes())?,
+            Err(error) => print_error(format_args!("{error}")),
         }
     }
     Ok(status)
+}
+
+/// The judged values of a gateway.
+pub(super) struct Reading {
+    /// Exit status.
+    status: u8,
+    health: &'static str,
+    reason: Option<String>,
+    /// Bridge, and the gateway's reports on itself.
+    values: Option<(State, Map<String, Value>)>,
+}
+
+impl Reading {
+    /// Judges the read values, or the reason for their absence.
+    pub(super) fn new(read: Result<(State, Vec<u16>)>) -> Self {
+        let (status, health, reason) = match read.as_ref().map(|(state, _)| state.fault()) {
+            Ok(None) => (0, "healthy", None),
+            Ok(Some(fault)) => (NOT_HEALTHY, "not healthy", Some(fault)),
+            Err(error) => (NO_CONNECTION, "no connection", Some(format!("{error:#}"))),
+        };
+        let values = read.ok().map(|(state, registers)| (state, map(&registers)));
+        Self { status, health, reason, values }
+    }
+
+    /// Returns a JSON object. `gateway` is its address.
+    pub(super) fn json(&self, gateway: &str) -> Value {
+        let (reports, bridge, events) = match &self.values {
+            Some((state, reports)) => (json!(reports), state.json(), state.events_json()),
+            None => (Value::Null, Value::Null, Value::Null),
+        };
+        json!({
+            "gateway": gateway, "health": self.health, "reason": self.reason,
+            "reports": reports, "bridge": bridge, "events": events,
+        })
+    }
+
+    /// Returns lines, each with a word for its topic. The first one names the gateway. Without values, returns why as an error.
+    pub(super) fn text(&self, gateway: &str) -> Result<String, String> {
+        let reason = self.reason.as_ref().map(|reason| format!(": {}", one_line(reason))).unwrap_or_default();
+        let (state, reports) = self.values.as_ref().ok_or_else(|| format!("{gateway}{reason}"))?;
+        let (health, summary, lines) = (self.health, state.summary(), lines(state, reports));
+        Ok(format!("gateway    {gateway} is {health}{reason}\n{summary}{lines}"))
+    }
 }
 
 /// Returns the reports by name.
