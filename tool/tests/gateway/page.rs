@@ -1,5 +1,8 @@
 //! The status page.
 
+use std::io::Write;
+use std::net::TcpStream;
+
 use browser::Tab;
 
 use super::*;
@@ -109,7 +112,7 @@ fn page_does_not_hide_the_silence_of_the_plc() {
     unpaused_on(
         || Rig::with(&ON_PAGE),
         |rig| {
-            let _master = rig.moving(1_000);
+            let _master = rig.moving_with(2_000);
             until("the page shows the end of the PLC", || {
                 let text = get(rig.page(), "/status.txt");
                 text.contains("\nPLC        none writes\n") && text.contains(", time-outs 1\n")
