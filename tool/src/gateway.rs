@@ -32,7 +32,7 @@ use wsg_bridge_fw::gripper::BAUD;
 use wsg_sim::text::one_line;
 
 use crate::gripper::{Address, Signals};
-use crate::listen_address;
+use crate::{listen_address, print_error};
 use bridge::Gateway;
 use config::GripperConfig;
 use master::{Master, Port};
@@ -40,6 +40,9 @@ use profinet::{Profinet, serve_adapter};
 
 /// Lowest rate of a board's CAN bus in kbit/s.
 const MIN_KBIT: u16 = 125;
+
+/// Exit status after a mistake in the configuration, as after one in the command line. systemd does not restart the service then.
+const MISCONFIGURED: u8 = 2;
 
 /// Connects PLCs on Modbus/TCP, PROFINET or EtherNet/IP to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
@@ -105,6 +108,16 @@ struct Options {
     settings: Option<PathBuf>,
 }
 
+impl Serving {
+    /// Returns the grippers of the options or of the file.
+    fn grippers(&self) -> Result<Vec<GripperConfig>> {
+        match &self.config {
+            Some(file) => config::read(file),
+            None => Ok(vec![GripperConfig::new(&self.options)?]),
+        }
+    }
+}
+
 /// Parses the address of a gripper that a gateway can command. A line must be as fast as a board's, for its times to hold.
 fn gripper_address(text: &str) -> Result<Address, String> {
     match text.parse()? {
@@ -137,13 +150,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     if let Some(Task::Status(arguments)) = task {
         return status::run(arguments);
     }
-    let grippers = match &serving.config {
-        Some(file) => config::read(file)?,
-        None => vec![GripperConfig::new(&serving.options)?],
-    };
     end_with_any_panic();
     let signals = Signals::catch()?;
-    let served = Served::open(grippers)?;
+    let served = match serving.grippers().and_then(Served::open) {
+        Ok(served) => served,
+        Err(error) => {
+            print_error(format_args!("{error:#}"));
+            return Ok(MISCONFIGURED);
+        }
+    };
     if serving.check_config {
         io::stdout().write_all(served.addresses().as_bytes())?;
         return Ok(0);

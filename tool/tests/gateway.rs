@@ -558,17 +558,17 @@ fn check_config_prints_the_grippers_of_the_page_and_refuses_mistakes() {
             "gripper  tcp://192.168.1.20:1000 (left)\nmodbus   192.168.1.10:502, unit 1\n\
              gripper  tcp://192.168.1.21:1000 (right)\nmodbus   192.168.1.10:502, unit 2\n",
         ),
-        ("unit = 2", "unit = 1", 1, ": another gripper has the unit 1 on 192.168.1.10:502\n"),
+        ("unit = 2", "unit = 1", 2, ": another gripper has the unit 1 on 192.168.1.10:502\n"),
         (
             "left.flash",
             "missing/left.flash",
-            1,
+            2,
             "cannot create missing/left.flash: there is no such folder\n",
         ),
         (
             "left.flash",
             "FOLDER/gateway.toml",
-            1,
+            2,
             "gateway.toml is no file with settings of a bridge; expected",
         ),
     ] {
@@ -591,7 +591,7 @@ fn configuration_of_the_service_is_refused_until_its_lines_are_enabled() {
         })
         .collect();
     for (config, status, expected) in [
-        (&shipped, 1, "no gripper"),
+        (&shipped, 2, "no gripper"),
         (&enabled, 0, "gripper  tcp://192.168.1.20:1000 (cell-1)\nmodbus   192."),
     ] {
         let folder = Folder::with(config);
@@ -831,7 +831,7 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
             2,
             "cannot be used with",
         ),
-        (&["gateway", "--config", "missing.toml"], 1, "cannot read missing.toml"),
+        (&["gateway", "--config", "missing.toml"], 2, "cannot read missing.toml"),
         (&["gateway", "--gripper", "tcp://h", "--profinet", "no-card"], 1, "no-card"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
         (&["gateway", "--gripper", "tcp://h", "status", "h"], 2, "cannot be used with"),
