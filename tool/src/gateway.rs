@@ -34,7 +34,7 @@ use wsg_bridge_fw::gripper::BAUD;
 use wsg_sim::text::one_line;
 
 use crate::gripper::{Address, Signals};
-use crate::listen_address;
+use crate::{listen_address, print_error};
 use bridge::Gateway;
 use config::GripperConfig;
 use master::{Master, Port};
@@ -43,6 +43,9 @@ use profinet::{Profinet, serve_adapter};
 
 /// Lowest rate of a board's CAN bus in kbit/s.
 const MIN_KBIT: u16 = 125;
+
+/// Exit status after a mistake in the configuration, as after one in the command line. systemd does not restart the service then.
+const MISCONFIGURED: u8 = 2;
 
 /// Connects PLCs on Modbus/TCP, PROFINET or EtherNet/IP to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
@@ -111,6 +114,16 @@ struct Options {
     settings: Option<PathBuf>,
 }
 
+impl Serving {
+    /// Returns the grippers of the options or of the file, and the address of the page.
+    fn read(&self) -> Result<(Vec<GripperConfig>, Option<SocketAddr>)> {
+        match &self.config {
+            Some(file) => config::read(file),
+            None => Ok((vec![GripperConfig::new(&self.options)?], self.page)),
+        }
+    }
+}
+
 /// Parses the address of a gripper that a gateway can command. A line must be as fast as a board's, for its times to hold.
 fn gripper_address(text: &str) -> Result<Address, String> {
     match text.parse()? {
@@ -143,13 +156,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     if let Some(Task::Status(arguments)) = task {
         return status::run(arguments);
     }
-    let (grippers, page) = match &serving.config {
-        Some(file) => config::read(file)?,
-        None => (vec![GripperConfig::new(&serving.options)?], serving.page),
-    };
     end_with_any_panic();
     let signals = Signals::catch()?;
-    let served = Served { page, ..Served::open(grippers)? };
+    let served = match serving.read().and_then(|(grippers, page)| Served::open(grippers, page)) {
+        Ok(served) => served,
+        Err(error) => {
+            print_error(format_args!("{error:#}"));
+            return Ok(MISCONFIGURED);
+        }
+    };
     if serving.check_config {
         io::stdout().write_all(served.addresses().as_bytes())?;
         return Ok(0);
@@ -179,7 +194,7 @@ struct Served {
 
 impl Served {
     /// Starts the bridges. Opens no port.
-    fn open(configs: Vec<GripperConfig>) -> Result<Self> {
+    fn open(configs: Vec<GripperConfig>, page: Option<SocketAddr>) -> Result<Self> {
         let (mut grippers, mut ports) = (Vec::<(GripperConfig, Rc<Gateway>)>::new(), Vec::<Port>::new());
         for config in configs {
             let other = grippers.iter().find(|(other, _)| config.shares_port(other));
@@ -199,7 +214,7 @@ impl Served {
             };
             grippers.push((config, gateway));
         }
-        Ok(Self { grippers, ports, page: None })
+        Ok(Self { grippers, ports, page })
     }
 
     /// Returns the addresses of page and grippers, each in a line.

@@ -12,7 +12,7 @@ use host_tests::masters::{mbpoll, node, paste, printed, python};
 use std::net::{SocketAddr, TcpListener};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 use tokio_modbus::client::{Context, tcp};
 use tokio_modbus::prelude::{ExceptionCode, ReadCode, Reader, Slave, Writer};
 use wsg_sim::server::{Lines, ServerThread};
@@ -20,6 +20,8 @@ use wsg_sim::{Config, Part};
 
 /// Time limit of every wait.
 const BOUND: Duration = Duration::from_secs(60);
+/// Pause between two requests: without it, a master would keep the gateway from the processor.
+const PAUSE: Duration = Duration::from_millis(5);
 
 /// Runs a test at a gripper with a part of 20 mm, and through a gateway to another one.
 fn at_gripper_and_gateway(test: impl Fn(SocketAddr)) {
@@ -43,7 +45,9 @@ fn at_gripper_and_gateway(test: impl Fn(SocketAddr)) {
         |(_, gateway)| {
             with_tokio_modbus(gateway.modbus, async |context| {
                 // The gripper answers.
-                while context.read_input_registers(0, 6).await.unwrap().is_err() {}
+                while context.read_input_registers(0, 6).await.unwrap().is_err() {
+                    sleep(PAUSE).await;
+                }
                 // BUS_TIMEOUT: a busy machine is less punctual than a PLC.
                 context.write_single_register(101, 60_000).await.unwrap().unwrap();
             });
@@ -318,6 +322,7 @@ pub(crate) fn grip_with_tokio_modbus(address: SocketAddr) {
                 if image[5] != 26 {
                     break image;
                 }
+                sleep(PAUSE).await;
             };
             assert_eq!((end[0], end[5]), (state, status), "{flags:04X}: {end:?}");
         }
