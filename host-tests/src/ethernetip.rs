@@ -296,8 +296,12 @@ fn outputs(flags: Flag) -> OutputImage {
     OutputImage { flags, user: 0, width: 100_00, speed: 20_00, force_limit: 40_00 }
 }
 
+/// Waits until a condition holds.
+///
+/// # Panics
+/// Panics after 60 s.
 #[track_caller]
-fn until(what: &str, holds: impl Fn() -> bool) {
+pub fn until(what: &str, holds: impl Fn() -> bool) {
     let start = Instant::now();
     while !holds() {
         assert!(start.elapsed() < BOUND, "time-out: {what}");
