@@ -1,9 +1,12 @@
 //! `wsg gateway` as a process, for tests with masters of Modbus/TCP.
 
+use std::env::temp_dir;
+use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Stdio, id};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -60,6 +63,23 @@ impl Gateway {
         let mut command = Command::new(example::program("wsg"));
         command.arg("gateway").args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
+    }
+
+    /// Starts a gateway with the text of a configuration file, for a number of grippers.
+    ///
+    /// # Panics
+    /// Panics when the file cannot be written, `wsg` is not built, or prints fewer addresses.
+    #[must_use]
+    pub fn of_config(text: &str, grippers: usize) -> Self {
+        static FILES: AtomicUsize = AtomicUsize::new(0);
+        let number = FILES.fetch_add(1, Ordering::Relaxed);
+        let file = temp_dir().join(format!("wsg-gateway-{}-{number}.toml", id()));
+        fs::write(&file, text).expect("the file is writable");
+        let gateway =
+            Self::spawn(Self::with(&["--config", file.to_str().expect("a path in UTF-8")]), grippers);
+        // The gateway reads its configuration only at the start.
+        let _ = fs::remove_file(&file);
+        gateway
     }
 
     /// Runs a command that starts a gateway for a number of grippers.

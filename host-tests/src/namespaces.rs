@@ -148,8 +148,16 @@ pub fn at_controller(network: u16, program: &str) -> Command {
 /// # Panics
 /// Panics if the program's threads cannot be listed.
 pub fn prioritize_grippers() {
+    prioritize_threads("wsg-sim");
+}
+
+/// Gives real-time priority to the threads of this program with this name.
+///
+/// # Panics
+/// Panics if the program's threads cannot be listed.
+pub fn prioritize_threads(name: &str) {
     for task in fs::read_dir("/proc/self/task").expect("a list of threads").map_while(Result::ok) {
-        if fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "wsg-sim\n") {
+        if fs::read_to_string(task.path().join("comm")).is_ok_and(|comm| comm.trim_end() == name) {
             prioritize(&task.file_name().to_string_lossy());
         }
     }
