@@ -814,6 +814,7 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
         (&["gateway", "--gripper", "gcl://h", "--modbus", "localhost:0"][..], 2, "not GCL; expected tcp://"),
         (&["gateway", "--gripper", "serial:x?rate=9600"], 2, "requires 115200 bit/s"),
         (&["gateway", "--gripper", "slcan:x?kbit=100"], 2, "requires 125 kbit/s"),
+        (&["gripper", "socketcan:no-can", "width"], 6, "the CAN interface no-can cannot be opened: "),
         (&["gateway", "--gripper", "tcp://h"], 2, "--modbus <ADDR>"),
         (&["gateway", "--modbus", "localhost:0"], 2, "--gripper <ADDRESS>|--config <FILE>"),
         (&["gateway", "--config", "x", "--settings", "y"], 2, "cannot be used with '--settings <FILE>'"),

@@ -16,7 +16,7 @@ use tokio::time::timeout;
 use wsg_protocol::frame::OVERHEAD;
 
 #[cfg(unix)]
-use super::serial::Port;
+use super::port::Port;
 use crate::gripper::Address;
 
 /// Room for sent bytes, and for received ones. A burst of FAST STOPs has less, even as SLCAN.
@@ -36,7 +36,7 @@ pub(super) enum Stream {
     Tcp(TcpStream),
     Udp(UdpSocket, SocketAddr),
     #[cfg(unix)]
-    Serial(Port),
+    Port(Port),
 }
 
 impl Stream {
@@ -60,10 +60,14 @@ impl Stream {
                 Ok(Self::Udp(UdpSocket::bind((any, *answer_port)).await?, gripper))
             }
             #[cfg(unix)]
-            Address::Serial { device, rate } => Port::open(device, *rate).await.map(Self::Serial),
+            Address::Serial { device, rate } => Port::open(device, *rate).await.map(Self::Port),
             #[cfg(unix)]
             Address::Slcan { device, kbit, identifiers } => {
-                Port::open_slcan(device, *kbit, *identifiers).await.map(Self::Serial)
+                Port::open_slcan(device, *kbit, *identifiers).await.map(Self::Port)
+            }
+            #[cfg(unix)]
+            Address::SocketCan { interface, identifiers } => {
+                Port::open_interface(interface, *identifiers).map(Self::Port)
             }
             _ => Err(io::Error::new(ErrorKind::Unsupported, "a gateway does not support this line")),
         }
@@ -81,12 +85,12 @@ impl Stream {
                 Err(error) => Err(error),
             },
             #[cfg(unix)]
-            Self::Serial(port) => port.try_read(chunk),
+            Self::Port(port) => port.try_read(chunk),
         }
     }
 
     /// Writes without waiting.
-    fn try_write(&self, bytes: &[u8]) -> io::Result<usize> {
+    fn try_write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
             Self::Tcp(stream) => stream.try_write(bytes),
             Self::Udp(socket, gripper) => match socket.try_send_to(bytes, *gripper) {
@@ -94,7 +98,7 @@ impl Stream {
                 result => result,
             },
             #[cfg(unix)]
-            Self::Serial(port) => port.try_write(bytes),
+            Self::Port(port) => port.try_write(bytes),
         }
     }
 
@@ -111,7 +115,7 @@ impl Stream {
             Self::Tcp(stream) => stream.poll_read_ready(context).map(drop),
             Self::Udp(socket, _) => socket.poll_recv_ready(context).map(drop),
             #[cfg(unix)]
-            Self::Serial(port) => port.poll_arrival(context),
+            Self::Port(port) => port.poll_arrival(context),
         }
     }
 
@@ -119,18 +123,19 @@ impl Stream {
     fn encode(&mut self, bytes: &[u8], unsent: &mut Vec<u8>) {
         match self {
             #[cfg(unix)]
-            Self::Serial(port) => port.encode(bytes, unsent),
+            Self::Port(port) => port.encode(bytes, unsent),
             _ => unsent.extend(bytes),
         }
     }
 
     /// Appends the bytes of messages in bytes of the line.
-    fn decode(&mut self, bytes: &[u8], received: &mut VecDeque<u8>) {
+    fn decode(&mut self, bytes: &[u8], received: &mut VecDeque<u8>) -> io::Result<()> {
         match self {
             #[cfg(unix)]
-            Self::Serial(port) => port.decode(bytes, received),
+            Self::Port(port) => return port.decode(bytes, received),
             _ => received.extend(bytes),
         }
+        Ok(())
     }
 }
 
@@ -200,7 +205,7 @@ impl GripperLine {
     pub(super) fn reset(&mut self) {
         match mem::take(self).stream {
             #[cfg(unix)]
-            Some(Stream::Serial(port)) => port.close(true),
+            Some(Stream::Port(port)) => port.close(true),
             stream => drop(stream),
         }
     }
@@ -215,7 +220,7 @@ impl GripperLine {
                 let _ = socket.shutdown(Shutdown::Write);
             }
             #[cfg(unix)]
-            Some(Stream::Serial(port)) => port.close(false),
+            Some(Stream::Port(port)) => port.close(false),
             stream => drop(stream),
         }
     }
@@ -235,7 +240,7 @@ impl GripperLine {
             }
             match stream.try_read(&mut chunk) {
                 Ok(0) => return Err(closed()),
-                Ok(count) => stream.decode(chunk.get(..count).unwrap_or(&[]), &mut self.received),
+                Ok(count) => stream.decode(chunk.get(..count).unwrap_or(&[]), &mut self.received)?,
                 Err(error) if error.kind() == ErrorKind::WouldBlock => break,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) => return Err(error),
@@ -246,7 +251,7 @@ impl GripperLine {
 
     /// Passes the bytes of a turn to the system. Returns an error without a line.
     pub(super) fn send(&mut self) -> io::Result<()> {
-        let stream = self.stream.as_ref().ok_or_else(closed)?;
+        let stream = self.stream.as_mut().ok_or_else(closed)?;
         self.is_full = false;
         loop {
             let bytes = stream.next_write(&self.unsent);
