@@ -829,9 +829,10 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
         (&["gateway", "--gripper", "tcp://h", "status", "h"], 2, "cannot be used with"),
         (&["gateway", "status"], 2, "<ADDR>"),
         (&["gateway", "status", "h:port"], 2, "invalid port `port`"),
+        (&["gateway", "status", "h?unit=x"], 2, "wrong address `h?unit=x`; expected tcp://HOST[:502][?unit=1]"),
         (&["gateway", "status", "127.0.0.1:1"], 6, "wsg: 127.0.0.1:1: cannot connect to a gateway"),
         (&["bridge", "tcp://h:port", "show"], 1, "invalid port `port`"),
-        (&["bridge", "tcp://h?unit=300", "show"], 1, "expected tcp://HOST[:PORT][?unit=1]"),
+        (&["bridge", "tcp://h?unit=300", "show"], 1, "expected tcp://HOST[:502][?unit=1]"),
         // An IPv6 address gets the default port, too.
         (&["bridge", "tcp://::1", "show"], 1, "cannot connect to a gateway at [::1]:502"),
     ] {

@@ -123,7 +123,7 @@ fn gateway_and_its_reports_reach_mosquitto_and_sparkplug_payload() {
     let folder = Folder::new();
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
-    let device = format!("[[bridge]]\nname = \"press\"\ndevice = \"tcp://{}\"\n", gateway.modbus);
+    let device = format!("[[bridge]]\nname = \"press\"\ndevice = \"tcp://{}?unit=7\"\n", gateway.modbus);
     let telemetry = Telemetry::at(&folder, broker.port, &device);
 
     let birth = host.wait_for("DBIRTH", "press");
