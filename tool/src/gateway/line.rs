@@ -14,6 +14,7 @@ use socket2::SockRef;
 use tokio::net::{TcpStream, UdpSocket, lookup_host};
 use tokio::time::timeout;
 use wsg_protocol::frame::OVERHEAD;
+use wsg_protocol::{Event, FrameParser};
 
 #[cfg(unix)]
 use super::port::Port;
@@ -27,6 +28,10 @@ const MAX_READS: usize = 64;
 
 /// Maximum number of bytes in a read. It is longer than any message, and the size of a datagram over Ethernet.
 const CHUNK_LEN: usize = 1_500;
+
+/// Maximum payload of a message that shows that the gripper answers. A longer one would delay the detection of the next messages
+/// after a damaged length.
+const ANSWER_LEN: usize = 16;
 
 /// Time-out of an attempt to connect to one address of the gripper.
 const CONNECT_TIME: Duration = Duration::from_secs(3);
@@ -181,6 +186,8 @@ fn closed() -> io::Error {
 pub(super) struct GripperLine {
     stream: Option<Stream>,
     received: VecDeque<u8>,
+    /// Finds messages among the received bytes.
+    answers: FrameParser<ANSWER_LEN>,
     unsent: Vec<u8>,
     /// The line has not taken all bytes of the last turn, so the bridge keeps further commands.
     is_full: bool,
@@ -230,8 +237,10 @@ impl GripperLine {
         self.stream.as_ref().map_or(Poll::Pending, |stream| stream.poll_arrival(context))
     }
 
-    /// Takes the received bytes from the system. Returns an error without a line.
-    pub(super) fn receive(&mut self) -> io::Result<()> {
+    /// Takes the received bytes from the system. Returns whether an intact message of the gripper is among them, or an error without
+    /// a line.
+    pub(super) fn receive(&mut self) -> io::Result<bool> {
+        let known = self.received.len();
         let stream = self.stream.as_mut().ok_or_else(closed)?;
         let mut chunk = [0; CHUNK_LEN];
         for _ in 0..MAX_READS {
@@ -246,7 +255,8 @@ impl GripperLine {
                 Err(error) => return Err(error),
             }
         }
-        Ok(())
+        let new = self.received.iter().skip(known);
+        Ok(new.filter(|byte| matches!(self.answers.push(**byte), Some(Event::Frame(_)))).count() > 0)
     }
 
     /// Passes the bytes of a turn to the system. Returns an error without a line.
