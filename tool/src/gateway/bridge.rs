@@ -531,3 +531,27 @@ fn is_at_rest(bridge: &Bridge) -> bool {
 fn is_fast_stopped(bridge: &Bridge) -> bool {
     bridge.input_image().system.contains(SystemFlags::FAST_STOP)
 }
+
+#[cfg(test)]
+mod tests {
+    use wsg_sim::server::{Lines, ServerThread};
+
+    use super::*;
+
+    /// A PROFINET controller reads between turns, too.
+    #[tokio::test]
+    async fn inputs_are_shown_for_a_second_after_the_last_answer() {
+        let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+        let gripper = ServerThread::start(wsg_sim::Config::default(), &lines, None).unwrap();
+        let config = GripperConfig::of(&format!("tcp://{}", gripper.tcp_address().unwrap()));
+        let gateway = Gateway::open(&config, &Rc::default()).unwrap();
+        gateway.host.borrow_mut().line.open(Stream::open(&config.gripper).await.unwrap());
+        let start = Instant::now();
+        while gateway.inputs().is_none() {
+            assert!(start.elapsed() < Duration::from_secs(60), "the gripper does not answer");
+            gateway.pass_time().await;
+        }
+        gateway.host.borrow_mut().answered_at -= Duration::from_millis(1_001);
+        assert_eq!(gateway.inputs(), None);
+    }
+}
