@@ -545,7 +545,8 @@ mod tests {
         let gripper = ServerThread::start(wsg_sim::Config::default(), &lines, None).unwrap();
         let config = GripperConfig::of(&format!("tcp://{}", gripper.tcp_address().unwrap()));
         let gateway = Gateway::open(&config, &Rc::default()).unwrap();
-        gateway.host.borrow_mut().line.open(Stream::open(&config.gripper).await.unwrap());
+        let stream = Stream::open(&config.gripper).await.unwrap();
+        gateway.host.borrow_mut().line.open(stream);
         let start = Instant::now();
         while gateway.inputs().is_none() {
             assert!(start.elapsed() < Duration::from_secs(60), "the gripper does not answer");
