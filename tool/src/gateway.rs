@@ -10,9 +10,9 @@ mod config;
 mod line;
 mod master;
 mod page;
-mod profinet;
 #[cfg(unix)]
-mod serial;
+mod port;
+mod profinet;
 mod service;
 mod status;
 
@@ -138,8 +138,10 @@ fn gripper_address(text: &str) -> Result<Address, String> {
         Address::Serial { .. } | Address::Slcan { .. } => {
             Err("a gateway uses no serial port on this system; expected tcp:// or udp://".to_owned())
         }
+        address @ Address::SocketCan { .. } if cfg!(target_os = "linux") => Ok(address),
+        Address::SocketCan { .. } => Err("SocketCAN requires Linux; expected tcp:// or udp://".to_owned()),
         Address::Gcl { .. } | Address::GclUdp { .. } => {
-            Err("a gateway uses the binary protocol, not GCL; expected tcp://, udp://, serial: or slcan:"
+            Err("a gateway uses the binary protocol, not GCL; expected tcp://, udp://, serial:, slcan: or socketcan:"
                 .to_owned())
         }
     }

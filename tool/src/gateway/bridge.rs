@@ -7,6 +7,7 @@ use std::cell::RefCell;
 use std::fmt::Display;
 use std::future::poll_fn;
 use std::io;
+use std::mem;
 use std::net::{IpAddr, Ipv4Addr};
 use std::rc::Rc;
 use std::sync::OnceLock;
@@ -40,6 +41,10 @@ pub(super) const TURN: Duration = Duration::from_millis(5);
 /// Longest time without a regular turn after which waiting input still counts. A request must never take effect a second late.
 const LONGEST_PAUSE: Duration = Duration::from_millis(800);
 
+/// Age of the gripper's last answer from which its values are not shown, and its line is lost. The session counts attempts
+/// instead: without a pause, it finds a silent gripper in less time.
+const SILENCE_TIME: Duration = Duration::from_secs(1);
+
 /// Time between two turns without input in which no request waits for long: such turns are regular. Several shorter pauses in a row
 /// are one.
 const REGULAR: Duration = Duration::from_millis(100);
@@ -63,6 +68,8 @@ const MAX_MESSAGES: usize = 64;
 
 /// Problem of a line after a pause of the computer.
 const PAUSED: &str = "this computer paused";
+/// Problem of a line to a silent gripper.
+const SILENT: &str = "the gripper does not answer";
 
 /// Pause between two attempts.
 const RETRY: Duration = Duration::from_millis(250);
@@ -95,7 +102,9 @@ struct Host {
     start: Duration,
     passed_at: Duration,
     regular_at: Duration,
-    /// When the line was last closed, or the gripper connected.
+    /// The last turn.
+    received_at: Duration,
+    /// When the line was last closed, or the gripper answered, at the latest.
     answered_at: Duration,
     /// End of the last turn without input after which a board feeds its watchdog.
     alive_at: Instant,
@@ -148,6 +157,7 @@ impl Gateway {
             start: now,
             passed_at: now,
             regular_at: now,
+            received_at: now,
             answered_at: now,
             alive_at: Instant::now(),
             is_ending: false,
@@ -270,10 +280,12 @@ impl Gateway {
         self.host.borrow().measured.pauses
     }
 
-    /// Returns the input image for a cyclic bus. `None` while the gripper is not connected, and after a pause.
+    /// Returns the input image for a cyclic bus. `None` while the gripper is not connected or silent, and after a pause.
     pub(super) fn inputs(&self) -> Option<InputImage> {
         let mut host = self.host.borrow_mut();
-        let is_current = uptime().saturating_sub(host.passed_at) <= LONGEST_PAUSE;
+        let now = uptime();
+        let is_current = now.saturating_sub(host.passed_at) <= LONGEST_PAUSE
+            && now.saturating_sub(host.answered_at) <= SILENCE_TIME;
         let is_shown = is_current && host.station.bridge().is_connected();
         host.modbus.inputs().filter(|_| is_shown)
     }
@@ -411,7 +423,7 @@ impl Host {
         let input = if pause.is_some() { TcpInput::Paused } else { input };
         let received = match pause {
             Some(_) => Err(io::Error::other(PAUSED)),
-            None => self.line.receive(),
+            None => self.receive(now),
         };
         match received {
             // A line without a connection is known to be down only while it is closed, as on a board.
@@ -432,14 +444,13 @@ impl Host {
         // The commands that a silent gripper has not answered may still wait in the socket or port.
         let is_connected = self.station.bridge().is_connected();
         let is_silent = was_connected && !is_connected && !self.is_ending;
-        if !self.line.is_open() || is_connected {
+        if !self.line.is_open() {
             self.answered_at = now;
         }
-        let is_mute = now.saturating_sub(self.answered_at) > SETUP_TIME;
         // A turn that was interrupted must not send its command.
         let is_late = pause.is_none() && since + uptime().saturating_sub(now) > LONGEST_PAUSE;
-        let sent = if is_silent || is_mute {
-            Err(io::Error::other("the gripper does not answer"))
+        let sent = if is_silent {
+            Err(io::Error::other(SILENT))
         } else if is_late {
             Err(io::Error::other(PAUSED))
         } else {
@@ -454,6 +465,19 @@ impl Host {
             Err(error) => self.lose_line(&error),
         }
         pause
+    }
+
+    /// Takes the received bytes from the line. Returns an error without a line, and when the gripper has been silent for too long: in
+    /// this turn, masters already read that.
+    fn receive(&mut self, now: Duration) -> io::Result<()> {
+        let last = mem::replace(&mut self.received_at, now);
+        if self.line.receive()? {
+            // The answer may have waited since the last turn.
+            self.answered_at = last;
+        }
+        let at_most = if self.station.bridge().is_connected() { SILENCE_TIME } else { SETUP_TIME };
+        let is_silent = now.saturating_sub(self.answered_at) > at_most && !self.is_ending;
+        if is_silent { Err(io::Error::other(SILENT)) } else { Ok(()) }
     }
 
     /// Resets the line to the gripper, if it is open. The bridge forgets its pending commands.
@@ -532,4 +556,29 @@ fn is_at_rest(bridge: &Bridge) -> bool {
 
 fn is_fast_stopped(bridge: &Bridge) -> bool {
     bridge.input_image().system.contains(SystemFlags::FAST_STOP)
+}
+
+#[cfg(test)]
+mod tests {
+    use wsg_sim::server::{Lines, ServerThread};
+
+    use super::*;
+
+    /// A PROFINET controller reads between turns, too.
+    #[tokio::test]
+    async fn inputs_are_shown_for_a_second_after_the_last_answer() {
+        let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+        let gripper = ServerThread::start(wsg_sim::Config::default(), &lines, None).unwrap();
+        let config = GripperConfig::of(&format!("tcp://{}", gripper.tcp_address().unwrap()));
+        let gateway = Gateway::open(&config, &Rc::default()).unwrap();
+        let stream = Stream::open(&config.gripper).await.unwrap();
+        gateway.host.borrow_mut().line.open(stream);
+        let start = Instant::now();
+        while gateway.inputs().is_none() {
+            assert!(start.elapsed() < Duration::from_secs(60), "the gripper does not answer");
+            gateway.pass_time().await;
+        }
+        gateway.host.borrow_mut().answered_at -= Duration::from_millis(1_001);
+        assert_eq!(gateway.inputs(), None);
+    }
 }

@@ -55,6 +55,22 @@ struct Keys {
 }
 
 impl GripperConfig {
+    /// Returns a gripper without a PLC.
+    #[cfg(test)]
+    pub(super) fn of(address: &str) -> Self {
+        Self {
+            name: None,
+            gripper: address.parse().unwrap(),
+            modbus: None,
+            profinet: None,
+            ethernetip: None,
+            unit: None,
+            settings: None,
+            delivered: None,
+            label: String::new(),
+        }
+    }
+
     /// Returns the gripper of a command line, or of the options in a file.
     pub(super) fn new(options: &Options) -> Result<Self> {
         let gripper = options.gripper.clone();

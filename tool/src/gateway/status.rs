@@ -1,6 +1,7 @@
 //! `wsg gateway status`: reads gateways over Modbus/TCP, as one more master that never writes, and judges them.
 
 use std::io::{self, Write};
+use std::str::FromStr;
 use std::sync::mpsc::channel;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -8,13 +9,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, anyhow};
 use clap::Args;
 use serde_json::{Map, Value, json};
-use wsg_sim::command_line::after_scheme;
 use wsg_sim::text::one_line;
 
-use crate::bridge::client::MODBUS_PORT;
+use crate::bridge::client::GatewayAddress;
 use crate::bridge::gateway_reports::{Reported, reported};
 use crate::bridge::{State, read_gateway};
-use crate::gripper::with_port;
 use crate::print_error;
 
 /// Time-out for the answers of all gateways.
@@ -29,19 +28,11 @@ const NO_CONNECTION: u8 = 6;
 #[derive(Args)]
 pub(super) struct Arguments {
     /// Addresses of gateways, such as 192.168.1.10 or 192.168.1.10:1502?unit=2; the port is 502 unless the address has one
-    #[arg(required = true, value_name = "ADDR", value_parser = gateway_address)]
-    gateways: Vec<String>,
+    #[arg(required = true, value_name = "ADDR", value_parser = GatewayAddress::from_str)]
+    gateways: Vec<GatewayAddress>,
     /// Print one JSON object per gateway, with raw register values
     #[arg(long)]
     json: bool,
-}
-
-/// Returns host, port and perhaps unit of `HOST[:502][?unit=1]` or `tcp://HOST[:502][?unit=1]`.
-fn gateway_address(text: &str) -> Result<String, String> {
-    let place = after_scheme(text, "tcp://").unwrap_or(text);
-    let (host, unit) = place.find('?').map_or((place, ""), |at| place.split_at(at));
-    let host = with_port(host, MODBUS_PORT, || "expected HOST[:502][?unit=1]".to_owned())?;
-    Ok(host + unit)
 }
 
 /// Prints the status of each gateway. Returns the highest exit status.
@@ -49,9 +40,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<u8> {
     let end = Instant::now() + TIME_OUT;
     let readings = arguments.gateways.iter().map(|gateway| {
         let (sender, reading) = channel();
-        let host = gateway.clone();
+        let address = gateway.clone();
         // In a thread, which ends with the process: nothing limits the look-up of a name.
-        thread::spawn(move || drop(sender.send(read_gateway(&host))));
+        thread::spawn(move || drop(sender.send(read_gateway(&address))));
         (gateway, reading)
     });
     let readings: Vec<_> = readings.collect();
@@ -61,6 +52,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<u8> {
         let read = read.unwrap_or_else(|_| Err(anyhow!("no answer within {} s", TIME_OUT.as_secs())));
         let read = Reading::new(read);
         status = status.max(read.status);
+        let gateway = &gateway.to_string();
         match read.text(gateway) {
             _ if arguments.json => writeln!(io::stdout(), "{}", read.json(gateway))?,
             Ok(text) => io::stdout().write_all(text.as_bytes())?,

@@ -130,7 +130,7 @@ fn reaches_mosquitto(gateway: &mut Gateway) {
     let folder = Folder::new();
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
-    let device = format!("[[bridge]]\nname = \"press\"\ndevice = \"tcp://{}\"\n", gateway.modbus);
+    let device = format!("[[bridge]]\nname = \"press\"\ndevice = \"tcp://{}?unit=7\"\n", gateway.modbus);
     let telemetry = Telemetry::at(&folder, broker.port, &device);
 
     let birth = host.wait_for("DBIRTH", "press");
