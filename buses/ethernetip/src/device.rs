@@ -34,7 +34,7 @@ const _: () = assert!(CONNECTIONS < 1 << PLACE_BITS && SESSIONS < 1 << PLACE_BIT
 /// A datagram to send, in the caller's buffer: its length and its destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transmit {
-    /// Cyclic data, to be sent from port [`IO_PORT`](crate::IO_PORT).
+    /// Cyclic data, to be sent from port [`IO_PORT`](crate::IO_PORT); to a group with time to live (TTL) 1.
     Io(usize, SocketAddrV4),
     /// Answer to a broadcast, to be sent from port [`PORT`](crate::PORT).
     Answer(usize, SocketAddrV4),

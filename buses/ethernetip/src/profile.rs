@@ -2,6 +2,11 @@
 
 use core::net::Ipv4Addr;
 
+/// Group of the first host in a network (239.192.1.0), number of groups for a host, and mask of the hosts that differ.
+const FIRST_GROUP: u32 = 0xEFC0_0100;
+const GROUPS: u32 = 32;
+const HOSTS: u32 = 0x3FF;
+
 /// Fixed properties of a device. They must equal its EDS file.
 #[derive(Clone, Copy, Debug)]
 pub struct Profile {
@@ -31,6 +36,8 @@ pub struct Profile {
     pub register_class: Option<u16>,
     /// Minimum requested packet interval (RPI) in µs.
     pub min_interval_us: u32,
+    /// Whether originators may request inputs by multicast.
+    pub allows_multicast: bool,
 }
 
 impl Profile {
@@ -63,6 +70,16 @@ pub struct Network {
     pub mac: [u8; 6],
     /// Speed in Mbit/s, full duplex.
     pub speed: u32,
+}
+
+impl Network {
+    /// Returns the group for inputs, as the number of the host in its network determines it (volume 2, chapter 3).
+    pub(crate) fn group(&self) -> Ipv4Addr {
+        // If the network is unknown, the whole address.
+        let network = if self.mask == Ipv4Addr::BROADCAST { 0 } else { self.mask.to_bits() };
+        let host = (self.address.to_bits() & !network).wrapping_sub(1) & HOSTS;
+        Ipv4Addr::from_bits(FIRST_GROUP.saturating_add(host.saturating_mul(GROUPS)))
+    }
 }
 
 /// General status of CIP (volume 1, appendix B): reason for a refusal.
@@ -124,5 +141,26 @@ impl Registers for () {
 
     fn write(&mut self, _: u16, _: u16, _: &[u8], _: bool) -> Result<(), Status> {
         Err(Status::NoInstance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn group_follows_the_low_10_bits_of_the_host() {
+        for (address, mask, group) in [
+            ([192, 168, 0, 1], [255, 255, 255, 0], [239, 192, 1, 0]),
+            ([192, 168, 7, 5], [255, 255, 255, 0], [239, 192, 1, 128]),
+            ([10, 0, 4, 0], [255, 0, 0, 0], [239, 192, 128, 224]),
+            ([10, 0, 4, 1], [255, 0, 0, 0], [239, 192, 1, 0]),
+            // The network is unknown.
+            ([192, 168, 1, 9], [255; 4], [239, 192, 34, 0]),
+        ] {
+            let [address, mask, group] = [address, mask, group].map(Ipv4Addr::from);
+            let network = Network { address, mask, gateway: address, mac: [0; 6], speed: 100 };
+            assert_eq!(network.group(), group);
+        }
     }
 }

@@ -3,7 +3,7 @@
 use core::net::Ipv4Addr;
 
 use super::{Device, Transmit};
-use crate::connection::Packet;
+use crate::connection::{Connection, Packet};
 use crate::cursor::Reader;
 use crate::encapsulation::MAX_FRAME_LEN;
 use crate::forward_open::Kind;
@@ -73,6 +73,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         let missed = now.saturating_sub(io.next).checked_div(io.interval_us).unwrap_or(0);
         io.next = io.next.saturating_add(io.interval_us.saturating_mul(missed.saturating_add(1)));
         io.sent = io.sent.wrapping_add(1);
-        Packet::write(buffer, (io.produced_id, io.sent), inputs).map(|len| Transmit::Io(len, io.target))
+        let Connection { produced_id, target, next, sent, .. } = *io;
+        // The consumers of a group share its packets.
+        let is_in_group = |it: &&mut Connection| it.target == target && target.ip().is_multicast();
+        for it in connections.iter_mut().flatten().filter(is_in_group) {
+            (it.next, it.sent) = (next, sent);
+        }
+        Packet::write(buffer, (produced_id, sent), inputs).map(|len| Transmit::Io(len, target))
     }
 }

@@ -85,9 +85,14 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             }
             // No host name.
             (class::TCP_IP, 6) => out.u16(0),
-            // Time to live and configuration of multicast, which the device does not send.
+            // Time to live of multicast, and its configuration: one group of the standard's algorithm, or none.
             (class::TCP_IP, 8) => out.u8(1),
-            (class::TCP_IP, 9) => out.bytes(&[0; 8]),
+            (class::TCP_IP, 9) => {
+                let group = profile.allows_multicast.then(|| network.group().to_bits());
+                out.u16(0);
+                out.u16(group.is_some().into());
+                out.u32(group.unwrap_or(0));
+            }
             (class::TCP_IP, 13) => out.u16(self.inactivity_s),
             (class::ETHERNET_LINK, 1) => out.u32(network.speed),
             // Link up, full duplex, successfully negotiated.

@@ -31,7 +31,7 @@ const MAX_INACTIVITY_S: u16 = 3_600;
 pub(super) struct Context<'a> {
     pub(super) now: u64,
     pub(super) client: Client,
-    /// Socket address for cyclic data to the originator, if the originator gives one.
+    /// Socket address for cyclic data to the originator, if the originator gives one; after the opening, the group if any.
     pub(super) target: Option<SocketAddrV4>,
     pub(super) registers: &'a mut dyn Registers,
     /// The connection that the message opens or closes.

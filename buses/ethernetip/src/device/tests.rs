@@ -28,6 +28,7 @@ pub(crate) const PROFILE: Profile = Profile {
     listen_only: 153,
     register_class: Some(0x64),
     min_interval_us: 1_000,
+    allows_multicast: true,
 };
 const _: () = assert!(PROFILE.is_valid());
 
