@@ -145,10 +145,11 @@ fn udp(address: SocketAddrV4, is_shared: bool) -> Result<UdpSocket> {
 }
 
 /// Returns the interface with this address, and its addresses for broadcasts. Linux delivers these to sockets that are bound to
-/// them, Windows to the address itself. Elsewhere, broadcasts are not received, and mask and Ethernet address are unknown.
+/// them, Windows to the address itself. Elsewhere, broadcasts are not received, and mask and Ethernet address are unknown. The speed
+/// is unknown: it may change at any time.
 fn network(address: Ipv4Addr) -> (Network, Vec<Ipv4Addr>) {
     let (mask, mac, broadcasts) = interface(address).unwrap_or((Ipv4Addr::BROADCAST, [0; 6], Vec::new()));
-    (Network { address, mask, gateway: Ipv4Addr::UNSPECIFIED, mac, speed: 100 }, broadcasts)
+    (Network { address, mask, gateway: Ipv4Addr::UNSPECIFIED, mac, speed: 0 }, broadcasts)
 }
 
 /// Returns mask, Ethernet address and addresses for broadcasts.
@@ -303,7 +304,7 @@ impl<O: Owner> Station<O> {
             match event {
                 Event::Connected => self.owner.note(format_args!("a controller has connected")),
                 // Each packet of a running controller is one image; see `receive_packet`.
-                Event::Outputs { .. } => {}
+                Event::Outputs => {}
                 Event::Idle => {
                     self.owner.note(format_args!("the controller is idle"));
                     self.end_outputs();

@@ -68,7 +68,7 @@ pub struct Network {
     pub gateway: Ipv4Addr,
     /// Ethernet address.
     pub mac: [u8; 6],
-    /// Speed in Mbit/s, full duplex.
+    /// Speed in Mbit/s, full duplex; 0 if unknown.
     pub speed: u32,
 }
 

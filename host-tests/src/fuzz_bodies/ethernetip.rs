@@ -362,7 +362,7 @@ impl World {
             self.expected.extend(was_running.then_some(Event::Idle));
             (self.state, self.outputs) = (State::Idle, [0; OutputImage::LEN]);
         } else if is_new || !was_running {
-            self.expected.push(Event::Outputs { is_first: !was_running });
+            self.expected.push(Event::Outputs);
             (self.state, self.outputs) = (State::Run, packet[24..].try_into().expect("the outputs"));
         }
     }

@@ -7,7 +7,7 @@ use crate::connection::{Connection, Packet};
 use crate::cursor::Reader;
 use crate::encapsulation::MAX_FRAME_LEN;
 use crate::forward_open::Kind;
-use crate::state::{Event, State};
+use crate::state::State;
 
 /// Bit of the run/idle header.
 const RUN: u32 = 1;
@@ -55,12 +55,10 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
         if mode == State::Run {
             *outputs = reader.array()?;
-            // Outputs that the application has not taken yet may have been the first.
-            let is_first = old_mode != mode || pending.image == Some(Event::Outputs { is_first: true });
-            pending.image = Some(Event::Outputs { is_first });
+            pending.has_outputs = true;
         } else if old_mode == State::Run {
             outputs.fill(0);
-            pending.image = Some(Event::Idle);
+            (pending.is_idle, pending.has_outputs) = (true, false);
         }
         Some(())
     }

@@ -12,7 +12,7 @@ use crate::encapsulation::{
 use crate::forward_open::Kind;
 use crate::profile::Registers;
 
-/// Delivered inactivity time-out.
+/// Inactivity time-out: the default of the specification. Read-only, because a set value would have to survive power-off.
 pub(super) const INACTIVITY_S: u16 = 120;
 /// Default and minimum of the longest delay of an answer to a broadcast.
 const DEFAULT_DELAY_MS: u16 = 2_000;
@@ -31,11 +31,8 @@ pub(super) struct Session {
 
 impl Session {
     /// Returns when the session ends without a frame.
-    pub(super) fn until(&self, inactivity_s: u16) -> u64 {
-        match inactivity_s {
-            0 => u64::MAX,
-            _ => self.received.saturating_add(u64::from(inactivity_s).saturating_mul(1_000_000)),
-        }
+    pub(super) fn until(&self) -> u64 {
+        self.received.saturating_add(u64::from(INACTIVITY_S).saturating_mul(1_000_000))
     }
 }
 

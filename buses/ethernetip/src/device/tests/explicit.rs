@@ -199,11 +199,8 @@ fn objects_answer_with_their_attributes_or_a_status() {
         ("1003 2004 2496 3003 0000000000000001", "90000e00"),
         ("1003 2001 2401 3001 0200", "90000e00"),
         ("1003 2001 2401 3063 0200", "90001400"),
-        ("1003 20f5 2401 300d 3c", "90001300"),
-        ("1003 20f5 2401 300d 3c0000", "90001500"),
-        ("1003 20f5 2401 300d 110e", "90000900"),
-        ("1003 20f5 2401 300d 100e", "90000000"),
-        ("0e03 20f5 2401 300d", "8e000000 100e"),
+        ("1003 20f5 2401 300d 3c00", "90000e00"),
+        ("0e03 20f5 2401 300d", "8e000000 7800"),
         // Unconnected_Send: an odd message with its pad byte, then lengths and nesting.
         ("5202 2006 2401 0a0e 0900 0e03 2001 2401 3001 01 00 0100 0100", "8e000000 0100"),
         ("5202 2006 2401 0a0e 0800 0e03 2001 2401 3001 0200 0100", "d2001300"),
@@ -233,6 +230,12 @@ fn objects_answer_with_their_attributes_or_a_status() {
             + "02 010100 02000000 01 6400 01"),
         "Ethernet link",
     );
+    rig.device = Device::new(PROFILE, Network { speed: 0, ..NETWORK }, 1);
+    let session = rig.register(1);
+    for (attribute, answer) in [("01", "00000000"), ("02", "01000000"), ("0b", "02000000 00")] {
+        let request = format!("0e03 20f6 2401 30{attribute}");
+        assert_like(&rig.message(1, session, &request, ""), &format!("8e000000 {answer}"), "unknown speed");
+    }
 }
 
 #[test]
