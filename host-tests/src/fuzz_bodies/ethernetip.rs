@@ -490,7 +490,8 @@ mod tests {
     #[test]
     fn ops_of_this_body_open_each_kind_and_set_outputs() {
         let mut world = World::new();
-        for op in [&[1, 0][..], &[4, 0, 0, 3, 4, 0, 0], &[4, 0, 0, 1, 2, 0, 0], &[4, 0, 0, 2, 3, 0, 0]] {
+        for op in [&[1, 0][..], &[4, 0, 0, 3, 4, 0, 0], &[4, 0, 0, 1, 2, 0x80, 0], &[4, 0, 0, 2, 3, 0x80, 0]]
+        {
             world.happen(&mut Input::new(op));
         }
         for op in [&[4, 0, 0, 0, 1, 0, 0][..], &[7, 3, 0, 1, 2, 3, 4, 5, 6, 7, 8, 0]] {
