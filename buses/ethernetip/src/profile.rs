@@ -163,4 +163,37 @@ mod tests {
             assert_eq!(network.group(), group);
         }
     }
+
+    #[test]
+    fn each_wrong_field_makes_a_profile_invalid() {
+        let valid = crate::device::tests::PROFILE;
+        // Pairs of numbers that are equal.
+        let numbers = [valid.output, valid.input, valid.configuration, valid.input_only, valid.listen_only];
+        for (at, other) in (0..5).flat_map(|at| (0..at).map(move |other| (at, other))) {
+            let mut numbers = numbers;
+            numbers[at] = numbers[other];
+            let [output, input, configuration, input_only, listen_only] = numbers;
+            let profile = Profile { output, input, configuration, input_only, listen_only, ..valid };
+            assert!(!profile.is_valid(), "{numbers:?}");
+        }
+        for (profile, is_valid) in [
+            (Profile { product_name: "12345678901234567890123456789012", ..valid }, true),
+            (Profile { product_name: "123456789012345678901234567890123", ..valid }, false),
+            (Profile { revision: [0, 1], ..valid }, false),
+            (Profile { revision: [1, 0], ..valid }, false),
+            (Profile { revision: [128, 1], ..valid }, false),
+            (Profile { register_class: Some(0x63), ..valid }, false),
+            (Profile { register_class: Some(0xC8), ..valid }, false),
+            (Profile { min_interval_us: 99, ..valid }, false),
+            (Profile { min_interval_us: 100, ..valid }, true),
+        ] {
+            assert_eq!(profile.is_valid(), is_valid, "{profile:?}");
+        }
+    }
+
+    #[test]
+    fn unit_has_no_registers() {
+        assert_eq!(().read(1, 1, &mut [0; 8]), Err(Status::NoInstance));
+        assert_eq!(().write(1, 1, &[0], false), Err(Status::NoInstance));
+    }
 }

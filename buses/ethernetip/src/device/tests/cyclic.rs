@@ -59,7 +59,7 @@ fn idle_precedes_the_next_outputs_even_if_not_taken() {
         assert_eq!((*rig.device.outputs(), rig.device.state()), (expected, mode));
     }
     // Several packets before the application takes an event.
-    rig.packet(PLC, id, 10, "0700 01000000 0102030405060708");
+    assert!(rig.packet(PLC, id, 10, "0700 01000000 0102030405060708"));
     rig.packet(PLC, id, 11, "0800 00000000 0102030405060708");
     rig.packet(PLC, id, 12, "0900 01000000 1112131415161718");
     assert_eq!(rig.events(), [Event::Idle, Event::Outputs]);
@@ -152,7 +152,7 @@ fn observers_never_set_outputs_and_keep_their_own_time() {
     let watch = rig.open(1, session, &INPUT_ONLY).unwrap();
     let full = rig.open(1, session, &Fo { serial: 9, size: [6, 14], ..INPUT_ONLY }).unwrap();
     rig.now = 9_000_000;
-    rig.packet(PLC, watch, 1, "0100");
+    assert!(!rig.packet(PLC, watch, 1, "0100"));
     rig.packet(PLC, full, 1, "0100 01000000");
     rig.packet(PLC, watch, 2, "0200 01000000 ffffffffffffffff");
     assert_eq!((rig.events(), rig.device.outputs()), (Vec::new(), &[0; 8]));

@@ -84,6 +84,7 @@ fn malformed_frames_have_the_status_of_the_specification() {
         00000000 0000 ffff 00000000 b200 0200 0100 | 00000000 0000 0200 00000100 b200 0200 0100
         00000000 0000 0200 00000000 b100 0200 0100 | 00000000 0000 0200 00000000 b200 0300 0100
         00000000 0000 0200 00000000 b200 0200 010000 | 00000000 0000 0200 00000000 b200 0000 |
+        00000000 0000 0200 a100 0400 01000000 b100 0400 0100 0100
         00000000 0000 0200 00000000 b200 0100 01 | 00000000 0000 0200 00000000 b200 0400 01ff 2001
         00000000 0000 0400 00000000 b200 0200 0100 0180 S 0180 S
         00000000 0000 0300 00000000 b200 0200 0100 0280 S
@@ -93,8 +94,9 @@ fn malformed_frames_have_the_status_of_the_specification() {
         let data = data.trim().replace('S', socket);
         assert_eq!(rig.command(1, 0x6F, session, &data), Some((0x03, Vec::new())), "{data}");
     }
-    // Connected messages: three items; without a sequence count; of an unknown connection.
+    // Connected messages: unconnected items; three items; without a sequence count; of an unknown connection.
     for (data, status) in [
+        ("00000000 0000 0200 00000000 b200 0400 0100 0100", Some(0x03)),
         ("00000000 0000 0300 a100 0400 01000000 b100 0400 0100 0100", Some(0x03)),
         ("00000000 0000 0200 a100 0400 01000000 b100 0100 01", None),
         ("00000000 0000 0200 a100 0400 01000000 b100 0400 0100 0100", None),
@@ -180,11 +182,13 @@ fn objects_answer_with_their_attributes_or_a_status() {
         ("0e03 2001 2401 3001 0000", "8e000000 0100"),
         ("0e03 2099 2401 3001", "8e000500"),
         ("0e03 2001 2402 3001", "8e001600"),
+        ("0e03 2004 2477 3003", "8e001600"),
         ("0e03 2001 2401 3063", "8e001400"),
         ("0e02 2001 2401", "8e001400"),
         ("0e03 2002 2401 3001", "8e001400"),
         ("0e03 2006 2401 3001", "8e001400"),
         ("4c02 2001 2401", "cc000800"),
+        ("8e03 2001 2401 3001", "8e000800"),
         ("5402 2001 2401", "d4000800"),
         // No class; attribute before the instance; a member; a symbol; an incomplete segment; a reserved size.
         ("0e01 2401", "8e000400"),
@@ -212,7 +216,7 @@ fn objects_answer_with_their_attributes_or_a_status() {
         // Registers of the application.
         ("1003 2064 2401 3001 3412", "90000000"),
         ("0e03 2064 2401 3001", "8e000000 3412"),
-        ("0e03 2064 2401 3002", "8e001100"),
+        ("0e04 2064 2401 3100 fa01", "8e001100"),
         ("0e03 2064 2409 3001", "8e001600"),
         ("1003 2064 2403 3001 3412", "90000e00"),
         ("0102 2064 2401", "81001400"),
@@ -220,6 +224,8 @@ fn objects_answer_with_their_attributes_or_a_status() {
     ] {
         assert_like(&rig.message(1, session, request, ""), answer, request);
     }
+    // The longest answer.
+    assert_eq!(bytes(&rig.message(1, session, "0e04 2064 2401 3100 f901", "")).len(), MAX_MESSAGE_LEN);
     let all = rig.message(1, session, "0102 20f5 2401", "");
     assert_eq!(bytes(&all).len(), 4 + 12 + 6 + 22 + 2 + 6 + 1 + 8 + 37 + 2);
     let all = rig.message(1, session, "0102 20f6 2401", "");
@@ -323,6 +329,7 @@ fn class_3_answers_fit_and_end_with_tcp_or_their_time_out() {
     // All connections of the originator have timed out. The loss of TCP ends the next one.
     rig.device.closed(1);
     let session = rig.register(1);
+    assert_like(&rig.message(1, session, "0e03 2001 2401 3005", ""), "8e000000 3000", "no cyclic data");
     rig.open(1, session, &EXPLICIT).unwrap();
     rig.device.closed(1);
     assert_eq!(rig.device.connections().count(), 0);

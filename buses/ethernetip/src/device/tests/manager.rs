@@ -45,6 +45,9 @@ fn each_wrong_field_has_its_extended_status() {
         (path("2004 2497 2c96 2c64 2d00"), "1503"),
         (path("2004 2497 2c96 2c64 8000 8000"), "1503"),
         (path("0100 2004 2c96 2c64"), "1503"),
+        (path("2004 2004 2497 2c96 2c64"), "1503"),
+        (path("3404 0000 0000 0000 0000 3404 0000 0000 0000 0000 2004 2497 2c96 2c64"), "1503"),
+        (path("2004 3404 0000 0000 0000 0000 2497 2c96 2c64"), "1503"),
         (path("2004 2497 2c96 2c64 3001"), "1503"),
         (path("3404 0200 0000 0000 0000 2004 2497 2c96 2c64"), "1401"),
         (path("3404 0100 0000 0100 0000 2004 2497 2c96 2c64"), "1401"),
@@ -67,7 +70,7 @@ fn each_wrong_field_has_its_extended_status() {
         assert_eq!(refusal(&mut rig, session, &open), code, "{}", open.hex());
         assert_eq!((rig.events(), rig.sent()), (Vec::new(), Vec::new()));
     }
-    assert_eq!(rig.device.counters().opens_refused, 42);
+    assert_eq!(rig.device.counters().opens_refused, 45);
     // Lengths: a short request, and a path that is shorter or longer than announced.
     let whole = bytes(&OWN.hex());
     for (request, answer) in [
@@ -150,10 +153,11 @@ fn only_the_opener_closes_over_any_of_its_sessions() {
     assert_like(&rig.message(2, second, &close(1), ""), "ce000000 0100 0100 0df0efbe 0000", "the opener");
     assert_eq!((rig.events(), rig.device.state()), (std::vec![Event::Left(Cause::Closed)], State::Unowned));
     assert!(rig.sent().is_empty());
-    // An owner that the application never knew leaves no trace.
+    // An owner that the application never knew leaves no trace, and takes no request away.
+    assert_like(&rig.message(2, second, "0502 2001 2401", ""), "85000000", "reset");
     rig.open(2, second, &OWN).unwrap();
     rig.message(2, second, &close(1), "");
-    assert_eq!(rig.events(), []);
+    assert_eq!(rig.events(), [Event::Reset(Reset::Restart)]);
 }
 
 #[test]
@@ -209,7 +213,7 @@ fn multicast_is_one_production_until_its_last_consumer_leaves() {
     assert_eq!(open(&mut rig, (1, session), &own), "2fa119e4");
     assert_eq!(sent(&mut rig), [("2fa119e4".to_owned(), "01000000".to_owned(), unicast)]);
     rig.message(1, session, &close(9), "");
-    assert_eq!(rig.events(), [Event::Connected]);
+    assert_eq!((rig.device.poll_timeout(rig.now), rig.events()), (rig.now, vec![Event::Connected]));
     for sequence in 2..5 {
         assert_eq!(sent(&mut rig), []);
         rig.now = rig.device.poll_timeout(rig.now);
