@@ -1,5 +1,6 @@
 //! An EtherNet/IP scanner: the owner of an adapter, which exchanges images in cycles, and the promises that it judges.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read, Write};
 use std::mem;
@@ -199,12 +200,7 @@ impl Shared {
         // Serial number of the connection, vendor and serial number of the scanner.
         let triad = [&serial[..], &[0x34, 0x12], &id().to_le_bytes()].concat();
         let own_id = [serial[0], serial[1], 7, 7];
-        let interval = (self.times.interval.as_micros() as u32).to_le_bytes();
-        // Point to point, fixed, 14 bytes.
-        let direction = [&interval[..], &[14, 0x48]].concat();
-        let open = [&[0x54, 2][..], &MANAGER, &[0x0A, 0xF0, 0, 0, 0, 0], &own_id, &triad].concat();
-        let open =
-            [&open[..], &[self.times.multiplier, 0, 0, 0], &direction, &direction, &[1, 4], &PATH].concat();
+        let open = forward_open(own_id, &triad, [[14, 0x48]; 2], self.times, 150);
         let port = udp.local_addr()?.port().to_be_bytes();
         let target = [&[1, 0x80, 16, 0, 0, 2][..], &port, &[0; 12]].concat();
         let answer = session.ask(&open, &target)?;
@@ -278,6 +274,23 @@ fn discards(address: Ipv4Addr) -> [bool; 2] {
 pub fn discard(address: Ipv4Addr, direction: usize, discards: bool) {
     let mut discarded = DISCARDED.lock().unwrap_or_else(PoisonError::into_inner);
     discarded.entry(address).or_default()[direction] = discards;
+}
+
+/// Returns a Forward_Open: identifier of the inputs, the connection, size and kind of both directions, its times, and the
+/// connection point of the outputs.
+fn forward_open(
+    own_id: [u8; 4],
+    triad: &[u8],
+    [outputs, inputs]: [[u8; 2]; 2],
+    Times { interval, multiplier }: Times,
+    point: u8,
+) -> Vec<u8> {
+    let interval = (interval.as_micros() as u32).to_le_bytes();
+    let open = [&[0x54, 2][..], &MANAGER, &[0x0A, 0xF0, 0, 0, 0, 0], &own_id, triad].concat();
+    let open =
+        [&open[..], &[multiplier, 0, 0, 0], &interval, &outputs, &interval, &inputs, &[1, 4], &PATH[..5]]
+            .concat();
+    [&open[..], &[point], &PATH[6..]].concat()
 }
 
 /// A session for explicit messages.
@@ -357,6 +370,49 @@ pub fn until(what: &str, holds: impl Fn() -> bool) {
     }
 }
 
+/// Judges the inputs that an adapter with an owner sends to a group: once for all that only watch.
+fn judge_multicast(address: Ipv4Addr, inputs: &InputImage) {
+    let open = |serial: u8, times: Times, point: u8| {
+        let triad = [&[serial, 0, 0x35, 0x12][..], &id().to_le_bytes()].concat();
+        let open = forward_open([7; 4], &triad, [[2, 0x48], [14, 0x28]], times, point);
+        Session::open(address).and_then(|mut it| it.ask(&open, &[])).expect("the adapter answers")
+    };
+    let config = explicit(address, GET, [0xF5, 1, 9], &[]).expect("the group is readable");
+    let [0, 0, 1, 0, d, c, b, a] = config[..] else { panic!("{config:?}") };
+    let group = Ipv4Addr::new(a, b, c, d);
+    // A test of another process may have the same group.
+    let udp = OnceCell::new();
+    until("the group's port is free", || {
+        UdpSocket::bind((group, 2_222)).is_ok_and(|socket| udp.set(socket).is_ok())
+    });
+    let udp = udp.into_inner().expect("a socket");
+    udp.join_multicast_v4(&group, &address).expect("the group is on the adapter's interface");
+    udp.set_read_timeout(Some(BOUND)).expect("a time-out");
+    let [input_only, listen_only] = [152, 153].map(|point| open(point, TIMES, point));
+    assert_eq!(input_only[..4], [0xD4, 0, 0, 0], "{input_only:?}");
+    assert_eq!(input_only[8..12], listen_only[8..12], "a second production");
+    assert_eq!(
+        open(1, Times { interval: 2 * TIMES.interval, ..TIMES }, 152)[..6],
+        [0xD4, 0, 1, 1, 0x12, 0x01],
+        "another interval"
+    );
+    let mut packets = (0..).map_while(|_| {
+        let mut packet = [0; 64];
+        let (len, from) = uninterrupted::recv_from(&udp, &mut packet).ok()?;
+        Some((from, packet[..len].to_vec()))
+    });
+    let mut last = None;
+    for _ in 0..10 {
+        let is_of_adapter = |(from, packet): &(SocketAddr, Vec<u8>)| {
+            *from == SocketAddr::from((address, 2_222)) && packet[6..10] == input_only[8..12]
+        };
+        let (_, packet) = packets.find(is_of_adapter).expect("inputs arrive");
+        assert_eq!(packet[20..], inputs.to_bytes());
+        let sequence = packet[10..14].first_chunk().copied().map(u32::from_le_bytes).expect("four bytes");
+        assert!(last.replace(sequence).is_none_or(|last| sequence == last + 1), "{last:?} {sequence}");
+    }
+}
+
 /// Judges the adapter of a virtual gripper in the given state, which has a part of 20 mm, stops after a lost bus, and is not homed.
 ///
 /// # Panics
@@ -394,6 +450,7 @@ pub fn judge(address: Ipv4Addr, state: &dyn Fn() -> State) {
     until("the gripper is connected", || read().status != Status::IoError);
     starts_nothing("the first image");
     assert!(!has(SystemFlags::REFERENCED));
+    judge_multicast(address, &read());
     assert_eq!(command(outputs(Flag::HOMING)), (GripperFlags::IDLE, Status::Success));
     let grip = OutputImage { width: 20_00, speed: 400_00, ..outputs(Flag::GRIP) };
     assert_eq!(command(grip), (GripperFlags::HOLDING, Status::Success));

@@ -33,6 +33,7 @@ use tokio::task::{JoinSet, LocalSet};
 use wsg_bridge_fw::gripper::BAUD;
 use wsg_sim::text::one_line;
 
+use crate::bridge::client::GatewayAddress;
 use crate::gripper::{Address, Signals};
 use crate::{listen_address, print_error};
 use bridge::Gateway;
@@ -298,9 +299,10 @@ impl Served {
     /// Returns the grippers for the page.
     fn shown(&self) -> Vec<Shown> {
         let shown = self.grippers.iter().map(|(config, gateway)| {
-            let unit = config.unit.map(|unit| format!("?unit={unit}")).unwrap_or_default();
             let port = self.ports.iter().find(|port| port.serves(gateway));
-            let address = port.map_or(config.gripper.to_string(), |port| port.address.to_string() + &unit);
+            let address = port.map_or(config.gripper.to_string(), |port| {
+                GatewayAddress::new(port.address, config.unit).to_string()
+            });
             let name = config.name.as_ref().map(|name| format!("{}, ", one_line(name))).unwrap_or_default();
             let heading = name + &address;
             Shown { heading, address, gateway: Rc::clone(gateway), latest: RefCell::default() }

@@ -282,8 +282,8 @@ fn command_own_grippers(adapters: &[Ipv4Addr], grippers: &[ServerThread]) {
 }
 
 #[test]
-#[ignore = "needs st-ethernet-ip, pycomm3, tshark and root: run `cargo xtask test`"]
-fn tshark_has_no_warning_about_st_ethernet_ip_and_pycomm3() {
+#[ignore = "needs ethernetip, st-ethernet-ip, pycomm3, tshark and root: run `cargo xtask test`"]
+fn tshark_has_no_warning_about_pypi_ethernetip_st_ethernet_ip_and_pycomm3() {
     let _ports = PORTS.lock().unwrap_or_else(PoisonError::into_inner);
     let filter = format!("host {ADDRESS} and (port 44818 or port 2222)");
     let mut tshark = Command::new("tshark");
@@ -293,14 +293,17 @@ fn tshark_has_no_warning_about_st_ethernet_ip_and_pycomm3() {
     let _gripper = Gripper::start(ADDRESS);
     let steps = steps();
     let steps: Vec<_> = steps.iter().map(String::as_str).collect();
-    // pycomm3 first, because st-ethernet-ip never closes its connection, and pycomm3 expects no outputs.
+    // st-ethernet-ip last, because it never closes its connection; pycomm3 first, because it expects no outputs.
     assert_prints(&python(include_str!("ethernetip/pycomm3.py"), &[]), "passed");
+    assert_prints(&python(include_str!("ethernetip/multicast.py"), &[]), "passed");
     assert_prints(&node(include_str!("ethernetip/st_ethernet_ip.js"), &steps), "cycle done");
     capture.wait_for(10, "cip.service == 0x8e", &["frame.number"]);
     capture.end();
-    // It decodes the cyclic data of both directions.
-    for filter in ["udp.srcport == 2222 && ip.src == 127.0.0.2 && cipio", "ip.dst == 127.0.0.2 && cipio"] {
-        assert!(capture.packets(filter, &["frame.number"]).len() > steps.len(), "{filter}");
+    // It decodes the cyclic data of both directions, and of the group.
+    let directions =
+        ["ip.dst == 127.0.0.1 && udp.srcport == 2222", "ip.dst == 127.0.0.2", "ip.dst == 239.192.1.32"];
+    for filter in directions.map(|filter| format!("{filter} && cipio")) {
+        assert!(capture.packets(&filter, &["frame.number"]).len() > steps.len(), "{filter}");
     }
     let warnings = capture.packets(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
     assert_eq!(warnings, Vec::<String>::new());

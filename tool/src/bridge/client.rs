@@ -72,6 +72,13 @@ pub(crate) struct GatewayAddress {
     unit: u8,
 }
 
+impl GatewayAddress {
+    /// Returns the address of a port, with the unit that several grippers on it have.
+    pub(crate) fn new(host: impl fmt::Display, unit: Option<u8>) -> Self {
+        Self { host: host.to_string(), unit: unit.unwrap_or(BusConfig::SERVICE.unit) }
+    }
+}
+
 impl FromStr for GatewayAddress {
     type Err = String;
 
@@ -79,10 +86,10 @@ impl FromStr for GatewayAddress {
         let wrong = || format!("wrong address `{text}`; expected tcp://HOST[:502][?unit=1]");
         let place = after_scheme(text, "tcp://").unwrap_or(text);
         let (host, unit) = match place.split_once("?unit=") {
-            Some((host, unit)) => (host, unit.parse().map_err(|_| wrong())?),
-            None => (place, BusConfig::SERVICE.unit),
+            Some((host, unit)) => (host, Some(unit.parse().map_err(|_| wrong())?)),
+            None => (place, None),
         };
-        Ok(Self { host: with_port(host, MODBUS_PORT, wrong)?, unit })
+        Ok(Self::new(with_port(host, MODBUS_PORT, wrong)?, unit))
     }
 }
 
