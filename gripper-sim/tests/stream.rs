@@ -177,7 +177,7 @@ fn acknowledged_stream_homes_and_waits_for_set_points() {
     for script in scripts() {
         let (_server, address) = serve(script.clone(), None);
         let stream = start(address, &script);
-        let mut reader = stream.samples(1);
+        let mut reader = stream.samples();
         stream.set_speed_limit(MmPerS(50.0)).unwrap();
         stream.set_target(Mm(20.0)).unwrap();
         until("motion", || latest(&stream).position < 105.0);
@@ -196,7 +196,7 @@ fn acknowledged_stream_homes_and_waits_for_set_points() {
         stream.set_target(Mm(20.0)).unwrap();
         until("motion", || latest(&stream).position < 95.0);
         let outcome = stream.home(HomingDirection::Positive).unwrap();
-        assert_eq!(stream.set_target(Mm(50.0)), Err(Rejected::Homing));
+        assert_eq!(stream.set_target(Mm(50.0)), Err(Rejected::Busy));
         outcome.recv_timeout(PATIENCE).unwrap().unwrap();
         samples(&stream, 20);
         assert_eq!((latest(&stream).position, latest(&stream).set_point), (110.0, None));

@@ -124,11 +124,12 @@ impl Core {
         handles_signals: bool,
         act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
     ) -> Result<T, Failed> {
-        self.with_calls(handles_signals, Stage::Query, act)
+        self.with_calls(None, handles_signals, Stage::Query, act)
     }
 
     fn with_calls<T>(
         &self,
+        held: Option<MutexGuard<'_, Option<Driver>>>,
         handles_signals: bool,
         stage: Stage,
         act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
@@ -141,9 +142,12 @@ impl Core {
             // A signal handler within a call cannot wait for the end of that call.
             return Err(Error::MotionRunning.into());
         }
-        calls.waiting.fetch_add(1, SeqCst);
-        let mut driver = lock(&self.driver);
-        calls.waiting.fetch_sub(1, SeqCst);
+        let mut driver = held.unwrap_or_else(|| {
+            calls.waiting.fetch_add(1, SeqCst);
+            let driver = lock(&self.driver);
+            calls.waiting.fetch_sub(1, SeqCst);
+            driver
+        });
         let driver = driver.as_mut().ok_or(Error::NotConnected)?;
         *lock(owner) = Some(thread::current().id());
         calls.handles_signals.store(handles_signals, SeqCst);
@@ -165,12 +169,32 @@ impl Core {
         result
     }
 
+    /// Begins a motion that was requested after `stops`, unless the gripper has been stopped since.
     pub(crate) fn begin<T>(
         &self,
         handles_signals: bool,
+        stops: usize,
         act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
     ) -> Result<T, Failed> {
-        self.with_calls(handles_signals, Stage::Begin, act)
+        self.with_calls(None, handles_signals, Stage::Begin, |driver| {
+            self.check_stops(stops)?;
+            act(driver)
+        })
+    }
+
+    /// Acknowledges a FAST STOP, unless there was another stop since the request.
+    pub(crate) fn acknowledge(&self, handles_signals: bool) -> Result<(), Failed> {
+        let stops = self.stops();
+        self.with(handles_signals, |driver| {
+            self.check_stops(stops)?;
+            each!(driver, gripper => gripper.acknowledge())
+        })
+    }
+
+    /// Fails if the gripper was stopped while a request waited for the driver. The driver has reported the stop to the call that
+    /// used it meanwhile, such as a subscription, and not to this one.
+    fn check_stops(&self, stops: usize) -> Result<(), Failure> {
+        if self.stops() == stops { Ok(()) } else { Err(Error::Stopped(StopKind::Stop)) }
     }
 
     /// Waits for the end of a motion that began after `stops`, and lets other requests pass.
@@ -182,7 +206,7 @@ impl Core {
     ) -> Result<T, Failed> {
         loop {
             let wait = |driver: &mut Driver| each!(driver, gripper => gripper.wait(pending));
-            match self.with_calls(handles_signals, Stage::Wait, wait) {
+            match self.with_calls(None, handles_signals, Stage::Wait, wait) {
                 Err(Failed::Yielded) => self.let_pass(),
                 // The thread that stopped the gripper received the confirmation before this one.
                 Err(Failed::Driver(Error::Aborted)) if self.stops() != stops => {
@@ -216,7 +240,7 @@ impl Core {
     /// Receives updates for a moment, and lets other requests pass. Returns whether the subscription continues.
     pub(crate) fn receive_updates(&self, feed: &Feed) -> bool {
         let receive = |driver: &mut Driver| each!(driver, gripper => feed.receive(gripper));
-        if let Err(Failed::Driver(failure)) = self.with_calls(false, Stage::Wait, receive) {
+        if let Err(Failed::Driver(failure)) = self.with_calls(None, false, Stage::Wait, receive) {
             feed.end(Some(failure));
         }
         self.let_pass();
@@ -259,7 +283,9 @@ impl Core {
             return Err(Error::NotConnected.into());
         }
         self.stops.fetch_add(1, SeqCst);
-        let is_busy = self.driver.try_lock().is_err();
+        // Kept until the stop, so that no other thread takes the driver first.
+        let held = self.driver.try_lock().ok();
+        let is_busy = held.is_none();
         if is_busy {
             // The driver repeats it if the line does not accept it now.
             let _ = self.send_stop(kind);
@@ -268,7 +294,7 @@ impl Core {
             return Ok(());
         }
         // Returns once the stop is confirmed, whether it was sent by the handle or is sent here.
-        self.with(handles_signals, |driver| match kind {
+        self.with_calls(held, handles_signals, Stage::Query, |driver| match kind {
             StopKind::Stop => each!(driver, gripper => gripper.stop()),
             StopKind::FastStop => each!(driver, gripper => gripper.fast_stop()),
         })

@@ -229,9 +229,8 @@ driver_methods! {
             width: bool,
             speed: bool,
             force: bool,
-            buffer: usize,
         ) -> PyResult<Updates> {
-            Updates::begin(py, &self.core, interval, [width, speed, force], buffer, self.is_virtual)
+            Updates::begin(py, &self.core, interval, [width, speed, force], self.is_virtual)
         }
 
         #[pyo3(signature = (is_fast, reply=None))]
@@ -244,6 +243,14 @@ driver_methods! {
             let handles_signals = reply.is_none();
             self.make(py, reply, &self.queries, false, move |core| {
                 core.stop(handles_signals, kind).map(|()| NOTHING)
+            })
+        }
+
+        #[pyo3(signature = (reply=None))]
+        fn acknowledge(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+            let handles_signals = reply.is_none();
+            self.make(py, reply, &self.queries, false, move |core| {
+                core.acknowledge(handles_signals).map(|()| NOTHING)
             })
         }
 
@@ -291,7 +298,6 @@ driver_methods! {
             gripper.begin_release(Mm(width), MmPerS(speed)).map(Begun::Other);
     }
     changes {
-        acknowledge() => |gripper| gripper.acknowledge();
         set_acceleration(acceleration: f32) => |gripper| gripper.set_acceleration(acceleration);
         set_force_limit(force: f32) => |gripper| gripper.set_force_limit(N(force));
         set_soft_limits(minus: f32, plus: f32) => |gripper| gripper.set_soft_limits(SoftLimits { minus, plus });
@@ -380,12 +386,12 @@ impl Driver {
         if reply.is_some() {
             return self.make(py, reply, &self.motions, true, |core| {
                 let stops = core.stops();
-                core.begin(false, act)?.wait(core, stops, false)
+                core.begin(false, stops, act)?.wait(core, stops, false)
             });
         }
         let stops = self.core.stops();
         let moved = detach(py, || {
-            let begun = self.core.begin(true, act)?;
+            let begun = self.core.begin(true, stops, act)?;
             let result = if waits { Some(begun.wait(&self.core, stops, true)?) } else { None };
             Ok((begun, result))
         });
@@ -398,7 +404,7 @@ impl Driver {
 }
 
 /// The result of a request without a value. Python receives None for it, and an empty tuple for `()`.
-pub(crate) const NOTHING: Option<bool> = None;
+const NOTHING: Option<bool> = None;
 
 /// A reply of bytes, which Python receives as `bytes`.
 type Bytes = Cow<'static, [u8]>;

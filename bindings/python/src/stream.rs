@@ -23,7 +23,7 @@ use crate::error;
 use crate::interpreter::{detach, process};
 use crate::line::{Calls, Clock, Line};
 use crate::number::shortest;
-use crate::updates::{SIGNALS, check_buffer};
+use crate::updates::SIGNALS;
 
 type Running = SetPointStream<Line, Clock>;
 /// Number, measured and received time in s, position in mm, speed in mm/s, force in N, flags, set-point in mm.
@@ -195,18 +195,10 @@ impl Stream {
         self.wait(py, Running::acknowledge)
     }
 
-    /// Returns a reader of new samples, which keeps this many for a slow caller.
-    fn subscribe(&self, py: Python<'_>, buffer: usize) -> PyResult<Samples> {
-        check_buffer(py, buffer)?;
-        let samples = match &*self.0.state(py)? {
-            State::Running(stream) => stream.samples(buffer),
-            State::Ended(End { cause, .. }, ..) => return Err(rejected(py, Rejected::Ended(*cause))),
-        };
-        Ok(Samples {
-            samples: Mutex::new(samples),
-            inner: Arc::clone(&self.0),
-            is_closed: AtomicBool::new(false),
-        })
+    /// Returns a reader of new samples.
+    fn subscribe(&self, py: Python<'_>) -> PyResult<Samples> {
+        let samples = Mutex::new(self.change(py, |stream| Ok(stream.samples()))?);
+        Ok(Samples { samples, inner: Arc::clone(&self.0), is_closed: AtomicBool::new(false) })
     }
 
     /// Returns the latest sample. Fails after the end of the stream, because the sample is no longer current.
@@ -283,27 +275,21 @@ impl Stream {
 }
 
 impl Stream {
-    fn change(&self, py: Python<'_>, change: impl FnOnce(&Running) -> Result<(), Rejected>) -> PyResult<()> {
+    fn change<T>(&self, py: Python<'_>, change: impl FnOnce(&Running) -> Result<T, Rejected>) -> PyResult<T> {
         let changed = match &*self.0.state(py)? {
             State::Running(stream) => change(stream),
             State::Ended(End { cause, .. }, ..) => Err(Rejected::Ended(*cause)),
         };
         changed.map_err(|refusal| rejected(py, refusal))
     }
-}
 
-impl Stream {
     /// Makes a request and waits for its outcome. If a signal handler raises an exception meanwhile, stops the fingers.
     fn wait(
         &self,
         py: Python<'_>,
         request: impl FnOnce(&Running) -> Result<Outcome<io::Error>, Rejected>,
     ) -> PyResult<()> {
-        let requested = match &*self.0.state(py)? {
-            State::Running(stream) => request(stream),
-            State::Ended(End { cause, .. }, ..) => Err(Rejected::Ended(*cause)),
-        };
-        let mut outcome = requested.map_err(|refusal| rejected(py, refusal))?;
+        let mut outcome = self.change(py, request)?;
         loop {
             let received;
             (outcome, received) = detach(py, || {
@@ -314,23 +300,22 @@ impl Stream {
                 Ok(result) => return result.map_err(|failure| error::of_driver(py, &failure)),
                 Err(RecvTimeoutError::Timeout) => {
                     if let Err(raised) = py.check_signals() {
-                        self.stop_fingers(py, false)?;
+                        // The exception of the handler matters more than a failure to stop, which the stream reports.
+                        let _ = self.stop_fingers(py, false);
                         return Err(raised);
                     }
                 }
                 // The stream has ended, or ends at this moment.
                 Err(RecvTimeoutError::Disconnected) => {
-                    let latest = self.latest(py);
-                    return Err(latest
-                        .err()
-                        .unwrap_or_else(|| rejected(py, Rejected::Ended(Cause::Requested))));
+                    self.latest(py)?;
+                    return Err(rejected(py, Rejected::Ended(Cause::Requested)));
                 }
             }
         }
     }
 }
 
-/// Returns each new sample once.
+/// Waits for new samples.
 #[pyclass(frozen, module = "wsg_gripper._native")]
 pub(crate) struct Samples {
     samples: Mutex<stream::Samples>,
@@ -355,11 +340,6 @@ impl Samples {
         Err(PyStopIteration::new_err(()))
     }
 
-    /// Returns the number of samples that the reader has missed.
-    fn dropped(&self, py: Python<'_>) -> u64 {
-        detach(py, || self.samples.lock().unwrap_or_else(PoisonError::into_inner).dropped())
-    }
-
     /// Ends the loop of the reader. The stream continues.
     fn close(&self) {
         self.is_closed.store(true, SeqCst);
@@ -369,7 +349,7 @@ impl Samples {
 fn rejected(py: Python<'_>, rejected: Rejected) -> PyErr {
     let class = match rejected {
         Rejected::Ended(_) => "StreamEndedError",
-        Rejected::Full { .. } | Rejected::Homing => "BusyError",
+        Rejected::Full { .. } | Rejected::Busy => "BusyError",
         Rejected::OutOfLimits(_) | Rejected::BeyondHorizon { .. } => "InvalidError",
     };
     error::exception(py, class, &rejected.to_string(), None)

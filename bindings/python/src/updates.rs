@@ -1,6 +1,5 @@
 //! Automatic updates of width, speed and force (command set, 3.4): a thread receives them, and a reader takes the newest.
 
-use std::collections::VecDeque;
 use std::mem;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -9,19 +8,18 @@ use std::time::{Duration, Instant};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
 use wsg_protocol::driver::blocking::GripperOver;
-use wsg_protocol::driver::stream::HISTORY_LEN;
 use wsg_protocol::driver::{Error, Protocol, UPDATES_LEN, Update};
-use wsg_protocol::session::{Known, Topic};
-use wsg_protocol::{AutoUpdate, GripperState, SystemFlags};
+use wsg_protocol::session::Topic;
+use wsg_protocol::{AutoUpdate, SystemFlags};
 
 use crate::core::{Core, Failed};
-use crate::driver::NOTHING;
 use crate::error::{self, Failure};
 use crate::interpreter::{detach, try_attach};
 use crate::line::{Clock, Line};
 use crate::number::shortest;
-use crate::queue::{Queue, Reply, Ticket};
 use crate::stream::unix_now;
+
+type Gripper<P> = GripperOver<Line, Clock, P>;
 
 /// The values of a reading, in its order.
 const TOPICS: [Topic; 3] = [Topic::Width, Topic::Speed, Topic::Force];
@@ -32,84 +30,36 @@ const MAX_UPDATES: usize = 4 * UPDATES_LEN;
 /// Shortest mean time between two values, in ms. In field reports, real grippers send up to 140 values per second. If more are
 /// requested, they delay all answers, until the connection counts as lost.
 const SHORTEST_MS: u16 = 8;
-/// Longest interval, in s.
-const LONGEST: f64 = 10.0;
+/// Longest interval, in s. A program that needs fewer values can query them.
+const LONGEST: f64 = 1.0;
 /// Longest time without a reading in addition to the interval. The driver also polls each value twice a second.
-const SILENCE: Duration = Duration::from_millis(1_000);
+const SILENCE: Duration = Duration::from_secs(1);
 /// Interval at which a waiting reader handles Python's signals.
 pub(crate) const SIGNALS: Duration = Duration::from_millis(50);
 
-/// One new value of each wanted quantity, in mm, mm/s and N.
-struct Reading {
-    /// A value of `time.time()`.
-    received: f64,
-    values: [Option<f32>; 3],
-    state: GripperState,
-    flags: SystemFlags,
-}
-
-/// Received time as a value of `time.time()`, width, speed, force, gripper state, system flags.
+/// Received time as a value of `time.time()`, width in mm, speed in mm/s, force in N, gripper state, system flags.
 type Row = (f64, Option<f64>, Option<f64>, Option<f64>, u8, u32);
 
-/// The readings on their way to the reader.
+/// A subscription, shared by its thread and its reader.
 pub(crate) struct Feed {
-    shared: Mutex<Shared>,
+    state: Mutex<State>,
     changed: Condvar,
     wanted: [bool; 3],
     period_ms: u16,
-    /// Maximum number of readings that wait for the reader.
-    capacity: usize,
     /// Whether the reader receives the updates itself, as in virtual time.
     pub(crate) is_pulled: bool,
 }
 
-struct Shared {
-    waiting: VecDeque<Reading>,
-    /// Values received since the last reading.
-    fresh: [Option<f32>; 3],
-    /// The states at the time of the next update.
-    flags: Option<SystemFlags>,
-    state: Option<GripperState>,
+struct State {
+    /// The newest reading, until the reader takes it.
+    newest: Option<Row>,
+    /// Which values are new since the last reading.
+    fresh: [bool; 3],
+    has_begun: bool,
     /// Time without a reading.
     silent: Duration,
-    /// Received time of the last reading.
-    last_received: f64,
-    dropped: u64,
-    /// The driver's count of lost updates, or `None` before the gripper was requested to send any.
-    lost: Option<u16>,
     stage: Stage,
-    failure: Option<Failure>,
-}
-
-impl Shared {
-    /// Records an update. Returns the reading that it completes.
-    fn note(&mut self, update: Update, wanted: [bool; 3]) -> Option<Reading> {
-        let (place, value) = match update {
-            Update::Width(width) => (0, width),
-            Update::Speed(speed) => (1, speed),
-            Update::Force(force) => (2, force),
-            Update::SystemState(flags) => {
-                self.flags = Some(flags);
-                return None;
-            }
-            Update::GripperState(state) => {
-                self.state = Some(state);
-                return None;
-            }
-            _ => return None,
-        };
-        let (flags, state) = (self.flags?, self.state?);
-        let is_referenced = flags.contains(SystemFlags::REFERENCED);
-        // There is no width before homing, and the gripper sends none.
-        *self.fresh.get_mut(place)? = Some(value).filter(|_| place > 0 || is_referenced);
-        let required = [wanted[0] && is_referenced, wanted[1], wanted[2]];
-        if required.iter().zip(self.fresh).any(|(is_required, value)| *is_required && value.is_none()) {
-            return None;
-        }
-        let fresh = mem::take(&mut self.fresh);
-        let values = [0, 1, 2].map(|place| fresh[place].filter(|_| required[place]));
-        Some(Reading { received: 0.0, values, state, flags })
-    }
+    failure: Option<Arc<Failure>>,
 }
 
 /// How far a subscription is.
@@ -123,122 +73,71 @@ enum Stage {
 }
 
 impl Feed {
-    fn new(wanted: [bool; 3], period_ms: u16, capacity: usize, is_pulled: bool) -> Self {
-        let shared = Shared {
-            waiting: VecDeque::new(),
-            fresh: [None; 3],
-            flags: None,
-            state: None,
-            silent: Duration::ZERO,
-            last_received: 0.0,
-            dropped: 0,
-            lost: None,
-            stage: Stage::Running,
-            failure: None,
-        };
-        Self { shared: Mutex::new(shared), changed: Condvar::new(), wanted, period_ms, capacity, is_pulled }
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Shared> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn topics(&self) -> impl Iterator<Item = Topic> {
-        TOPICS.into_iter().zip(self.wanted).filter_map(|(topic, is_wanted)| is_wanted.then_some(topic))
+    fn subscribe<P: Protocol>(&self, gripper: &mut Gripper<P>, update: AutoUpdate) {
+        let topics = TOPICS.into_iter().zip(self.wanted).filter(|(_, is_wanted)| *is_wanted);
+        topics.for_each(|(topic, _)| gripper.subscribe(topic, update));
     }
 
     /// Receives updates for a moment. Subscribes first if necessary.
-    pub(crate) fn receive<P: Protocol>(
-        &self,
-        gripper: &mut GripperOver<Line, Clock, P>,
-    ) -> Result<(), Failure> {
-        if self.lock().lost.is_none() {
-            // Values of an earlier subscription are old.
+    pub(crate) fn receive<P: Protocol>(&self, gripper: &mut Gripper<P>) -> Result<(), Failure> {
+        let has_begun = mem::replace(&mut self.lock().has_begun, true);
+        if !has_begun {
+            // Updates of an earlier subscription are old.
             for _ in 0..UPDATES_LEN {
-                unless_stopped(gripper.next_update(0).map(drop))?;
+                next_update(gripper, 0)?;
             }
-            self.topics().for_each(|topic| gripper.subscribe(topic, AutoUpdate::every(self.period_ms)));
-            let mut shared = self.lock();
-            shared.lost = Some(gripper.counters().updates_lost);
-            (shared.flags, shared.state) = (gripper.known().flags, gripper.known().state);
+            self.subscribe(gripper, AutoUpdate::every(self.period_ms));
         }
-        let begun = Instant::now();
-        let mut updates = Vec::new();
-        let mut end = Ok(());
-        for turn in 0..MAX_UPDATES {
-            match gripper.next_update(if turn == 0 { WAIT_MS } else { 0 }) {
-                Ok(Some(update)) => updates.push(update),
-                Ok(None) => break,
-                Err(failure) => {
-                    end = unless_stopped(Err(failure));
-                    break;
-                }
+        let begun_at = Instant::now();
+        let mut fresh = self.lock().fresh;
+        let mut received = 0;
+        while received < MAX_UPDATES {
+            match next_update(gripper, if received == 0 { WAIT_MS } else { 0 })? {
+                Some(Update::Width(_)) => fresh[0] = true,
+                Some(Update::Speed(_)) => fresh[1] = true,
+                Some(Update::Force(_)) => fresh[2] = true,
+                Some(_) => {}
+                None => break,
             }
+            received += 1;
         }
-        let age_ms = self.topics().filter_map(|topic| gripper.age_ms(topic)).max().unwrap_or(0);
-        self.pass(&updates, *gripper.known(), age_ms, gripper.counters().updates_lost);
-        end?;
-        if !gripper.is_connected() {
+        let known = *gripper.known();
+        let (true, Some(flags), Some(state)) = (gripper.is_connected(), known.flags, known.state) else {
             return Err(Error::NotConnected);
-        }
+        };
+        // There is no width before homing, and the gripper sends none.
+        let [width, speed, force] = self.wanted;
+        let required = [width && flags.contains(SystemFlags::REFERENCED), speed, force];
+        let ages = TOPICS.into_iter().zip(required).filter(|(_, is_required)| *is_required);
+        let age_ms = ages.filter_map(|(topic, _)| gripper.age_ms(topic)).max().unwrap_or(0);
         let mut shared = self.lock();
+        shared.fresh = fresh;
         // A pause of this program is no silence of the gripper.
-        shared.silent += begun.elapsed().min(Duration::from_millis(WAIT_MS.into()));
+        shared.silent += begun_at.elapsed().min(Duration::from_millis(WAIT_MS.into()));
+        if required.iter().zip(fresh).all(|(is_required, is_fresh)| is_fresh || !is_required) {
+            let values = [known.width, known.speed, known.force];
+            let value = |place: usize| values[place].filter(|_| required[place]).map(shortest);
+            let received = unix_now() - f64::from(age_ms) / 1e3;
+            shared.newest = Some((received, value(0), value(1), value(2), state.code(), flags.bits()));
+            (shared.fresh, shared.silent) = ([false; 3], Duration::ZERO);
+        }
         let is_silent = shared.silent > SILENCE + Duration::from_millis(self.period_ms.into());
+        drop(shared);
+        self.changed.notify_all();
         if is_silent { Err(Error::Unanswered) } else { Ok(()) }
     }
 
-    /// Passes the readings of some updates to the reader. `age_ms` is the age of the last reading. The gripper sent the others
-    /// one period apart.
-    fn pass(&self, updates: &[Update], known: Known, age_ms: u32, lost: u16) {
-        let now = unix_now();
-        let mut shared = self.lock();
-        let missed = lost.saturating_sub(shared.lost.replace(lost).unwrap_or(lost));
-        let mut received = Vec::new();
-        if missed == 0 {
-            received.extend(updates.iter().filter_map(|update| shared.note(*update, self.wanted)));
-        } else {
-            // The states at the time of the remaining updates are unknown.
-            shared.fresh = [None; 3];
-            let kinds = self.topics().count().max(1) as u64;
-            shared.dropped += (u64::from(missed) + updates.len() as u64).div_ceil(kinds);
-        }
-        (shared.flags, shared.state) = (known.flags, known.state);
-        let later = (0..received.len() as u32).rev();
-        for (mut reading, later) in received.into_iter().zip(later) {
-            let age_ms = f64::from(age_ms) + f64::from(later) * f64::from(self.period_ms);
-            reading.received = now - age_ms / 1e3;
-            // The times increase, unless the system clock was set.
-            let back = shared.last_received - reading.received;
-            if (0.0..1.0).contains(&back) {
-                reading.received = shared.last_received + 1e-6;
-            }
-            (shared.silent, shared.last_received) = (Duration::ZERO, reading.received);
-            if shared.waiting.len() >= self.capacity {
-                shared.waiting.pop_front();
-                shared.dropped += 1;
-            }
-            shared.waiting.push_back(reading);
-        }
-        drop(shared);
-        self.changed.notify_all();
-    }
-
     /// Makes the gripper send no more updates. Failures have no effect, because the connection is then lost.
-    pub(crate) fn unsubscribe<P: Protocol>(
-        &self,
-        gripper: &mut GripperOver<Line, Clock, P>,
-    ) -> Result<(), Failure> {
-        self.topics().for_each(|topic| gripper.subscribe(topic, AutoUpdate::once()));
-        // A query sends the change at once.
-        for topic in self.topics().filter(|_| gripper.is_connected()).collect::<Vec<_>>() {
-            match topic {
-                Topic::Width => drop(gripper.width()),
-                Topic::Speed => drop(gripper.speed()),
-                _ => drop(gripper.force()),
-            }
-        }
-        Ok(())
+    pub(crate) fn unsubscribe<P: Protocol>(&self, gripper: &mut Gripper<P>) -> Result<(), Failure> {
+        self.subscribe(gripper, AutoUpdate::once());
+        // The queries send the change at once.
+        gripper.width()?;
+        gripper.speed()?;
+        gripper.force().map(drop)
     }
 
     pub(crate) fn is_running(&self) -> bool {
@@ -251,11 +150,11 @@ impl Feed {
 
     /// Ends the subscription at its reader, or with a failure.
     pub(crate) fn end(&self, failure: Option<Failure>) {
-        let mut shared = self.lock();
-        if shared.stage == Stage::Running {
-            (shared.stage, shared.failure) = (Stage::Closing, failure);
+        let mut state = self.lock();
+        if state.stage == Stage::Running {
+            (state.stage, state.failure) = (Stage::Closing, failure.map(Arc::new));
         }
-        drop(shared);
+        drop(state);
         self.changed.notify_all();
     }
 
@@ -267,21 +166,24 @@ impl Feed {
 
     /// Waits until no more updates are received.
     pub(crate) fn wait_for_end(&self) {
-        let waited = self.changed.wait_while(self.lock(), |shared| shared.stage != Stage::Over);
+        let waited = self.changed.wait_while(self.lock(), |state| state.stage != Stage::Over);
         drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 
     /// Waits until there is a reading or the end, for at most this time.
     fn wait(&self, within: Duration) {
-        let is_idle = |shared: &mut Shared| shared.waiting.is_empty() && shared.stage == Stage::Running;
+        let is_idle = |state: &mut State| state.newest.is_none() && state.stage == Stage::Running;
         let waited = self.changed.wait_timeout_while(self.lock(), within, is_idle);
         drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 }
 
-/// A stop of this program ends motions, not the updates.
-fn unless_stopped(result: Result<(), Failure>) -> Result<(), Failure> {
-    if matches!(result, Err(Error::Stopped(_))) { Ok(()) } else { result }
+/// Returns the next update. A stop of this program ends motions, not the updates.
+fn next_update<P: Protocol>(gripper: &mut Gripper<P>, within_ms: u32) -> Result<Option<Update>, Failure> {
+    match gripper.next_update(within_ms) {
+        Err(Error::Stopped(_)) => Ok(None),
+        update => update,
+    }
 }
 
 /// The reader's end of a subscription.
@@ -289,8 +191,6 @@ fn unless_stopped(result: Result<(), Failure>) -> Result<(), Failure> {
 pub(crate) struct Updates {
     core: Arc<Core>,
     feed: Arc<Feed>,
-    /// The queue of waits of an event loop.
-    waits: Queue,
 }
 
 impl Updates {
@@ -300,24 +200,35 @@ impl Updates {
         core: &Arc<Core>,
         interval: Option<f64>,
         wanted: [bool; 3],
-        buffer: usize,
         is_pulled: bool,
     ) -> PyResult<Self> {
         let invalid = |text: &str| Err(error::exception(py, "InvalidError", text, None));
-        let values = wanted.iter().filter(|is_wanted| **is_wanted).count() as u16;
+        let values = wanted.iter().map(|is_wanted| u16::from(*is_wanted)).sum::<u16>();
+        if values == 0 {
+            return invalid("no value to subscribe to; expected width, speed or force");
+        }
         let shortest = f64::from((SHORTEST_MS * values).max(AutoUpdate::MIN_PERIOD_MS)) / 1e3;
         let interval = interval.unwrap_or(shortest);
         if !(shortest..=LONGEST).contains(&interval) {
-            let text =
-                format!("interval is {interval} s; expected {shortest} to {LONGEST} s for {values} values");
-            return invalid(&text);
+            return invalid(&format!(
+                "interval is {interval} s; expected {shortest} to {LONGEST} s for {values} values"
+            ));
         }
-        check_buffer(py, buffer)?;
-        if wanted == [false; 3] {
-            return invalid("no value to subscribe to; expected width, speed or force");
-        }
-        let feed = Feed::new(wanted, (interval * 1e3).round() as u16, buffer, is_pulled);
-        let feed = Arc::new(feed);
+        let state = State {
+            newest: None,
+            fresh: [false; 3],
+            has_begun: false,
+            silent: Duration::ZERO,
+            stage: Stage::Running,
+            failure: None,
+        };
+        let feed = Arc::new(Feed {
+            state: Mutex::new(state),
+            changed: Condvar::new(),
+            wanted,
+            period_ms: (interval * 1e3).round() as u16,
+            is_pulled,
+        });
         let begun = detach(py, || core.begin_updates(&feed)).map_err(|failed| failed.into_exception(py))?;
         if !begun {
             let text = "the connection has a subscription: close it first";
@@ -337,49 +248,28 @@ impl Updates {
                 return Err(failure.into());
             }
         }
-        Ok(Self { core: Arc::clone(core), feed, waits: Queue::default() })
+        Ok(Self { core: Arc::clone(core), feed })
     }
-
-    fn is_foreign(&self) -> bool {
-        self.core.is_foreign()
-    }
-}
-
-/// Checks the buffer of a reader. A stream keeps as many samples.
-pub(crate) fn check_buffer(py: Python<'_>, buffer: usize) -> PyResult<()> {
-    if (1..=HISTORY_LEN).contains(&buffer) {
-        return Ok(());
-    }
-    let text = format!("buffer is {buffer}; expected 1 to {HISTORY_LEN}");
-    Err(error::exception(py, "InvalidError", &text, None))
 }
 
 #[pymethods]
 impl Updates {
-    /// Returns the next reading, or None if it has not arrived. Raises StopIteration after `close`, and the cause of another end.
-    fn take(&self, py: Python<'_>) -> PyResult<Option<Row>> {
-        if self.is_foreign() {
-            return Err(Failed::from(Error::NotConnected).into_exception(py));
-        }
-        let mut shared = self.feed.lock();
-        let Some(reading) = shared.waiting.pop_front() else {
-            return match (&shared.failure, shared.stage) {
-                (Some(failure), _) => Err(error::of_driver(py, failure)),
-                (None, Stage::Running) => Ok(None),
-                (None, _) => Err(PyStopIteration::new_err(())),
-            };
-        };
-        drop(shared);
-        let Reading { received, values, state, flags } = reading;
-        let [width, speed, force] = values.map(|value| value.map(shortest));
-        Ok(Some((received, width, speed, force, state.code(), flags.bits())))
-    }
-
-    /// Waits for the next reading.
+    /// Waits for the next reading. Raises StopIteration after `close`, and the cause of another end.
     fn next(&self, py: Python<'_>) -> PyResult<Row> {
         loop {
-            if let Some(row) = self.take(py)? {
-                return Ok(row);
+            if self.core.is_foreign() {
+                return Err(Failed::from(Error::NotConnected).into_exception(py));
+            }
+            let (stage, newest, failure) = {
+                let mut state = self.feed.lock();
+                (state.stage, mem::take(&mut state.newest), state.failure.clone())
+            };
+            // Without the lock of the feed, because exceptions are made by Python code, which may let another thread run.
+            match (stage, newest, failure) {
+                (Stage::Running, Some(row), _) => return Ok(row),
+                (Stage::Running, None, _) => {}
+                (_, _, Some(failure)) => return Err(error::of_driver(py, &failure)),
+                (_, _, None) => return Err(PyStopIteration::new_err(())),
             }
             detach(py, || {
                 if self.feed.is_pulled {
@@ -392,23 +282,9 @@ impl Updates {
         }
     }
 
-    /// Passes None to `reply` when `take` has a result. The wait is bounded, because silence ends the subscription.
-    fn wait(&self, py: Python<'_>, reply: Reply) -> PyResult<Ticket> {
-        let feed = Arc::clone(&self.feed);
-        self.waits.push(py, reply, &self.core, false, move |_| {
-            feed.wait(Duration::from_secs(60));
-            Ok(NOTHING)
-        })
-    }
-
-    /// Returns the number of readings that the reader has missed.
-    fn dropped(&self) -> u64 {
-        self.feed.lock().dropped
-    }
-
     /// Ends the updates.
     fn close(&self, py: Python<'_>) {
-        if !self.is_foreign() {
+        if !self.core.is_foreign() {
             detach(py, || self.core.end_updates(&self.feed, None));
         }
     }
@@ -416,7 +292,7 @@ impl Updates {
 
 impl Drop for Updates {
     fn drop(&mut self) {
-        if !self.is_foreign() {
+        if !self.core.is_foreign() {
             // Without the interpreter lock, which another user of the driver may need before it yields the driver.
             try_attach(|py| py.detach(|| self.core.end_updates(&self.feed, None)));
         }

@@ -221,18 +221,18 @@ def are_more_than(before: tuple[int, int]) -> bool:
 
 
 def test_thousand_creations_leave_nothing(wsg_sim: Simulator) -> None:
-    def create(subscribes: bool) -> None:
+    def create(number: int) -> None:
         with Gripper(wsg_sim.tcp) as gripper:
             gripper.width()
-            if subscribes:
+            if number % 10 == 0:
                 next(gripper.subscribe())
 
     for number in range(50):
-        create(number % 10 == 0)
+        create(number)
     before = open_things()
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for number in range(1000):
-        create(number % 10 == 0)
+        create(number)
     gc.collect()
     end = time.monotonic() + 5
     # The simulator closes its end of the last connection on its own.

@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable
 from itertools import islice
 
-
 import pytest
 from test_streaming import proxy, wait_for
 
@@ -23,7 +22,6 @@ from wsg_gripper import (
     NotConnectedError,
     Reading,
     StreamEndedError,
-    StreamingGripper,
     Subscription,
     SystemFlags,
 )
@@ -48,7 +46,7 @@ def test_gripper_with_real_latencies_sends_a_hundred_values_a_second(names: tupl
         gripper.home()
         motion = gripper.begin_move(30, speed=20)
         wanted = {name: name in names for name in ("width", "speed", "force")}
-        with gripper.subscribe(buffer=1024, **wanted) as readings:
+        with gripper.subscribe(**wanted) as readings:
             assert per_second(50, readings, rate) >= rate
             reading = next(readings)
             assert [name for name in wanted if getattr(reading, name) is not None] == list(names)
@@ -66,7 +64,8 @@ def test_readings_follow_a_grip_and_end_with_the_line(line: str) -> None:
     virtual = VirtualGripper(line, part=20)
     gripper = virtual.connect()
     with gripper.subscribe(0.05, speed=False) as readings:
-        assert next(readings)[1:] == (None, None, 0, GripperState.IDLE, next(readings).flags)
+        first = next(readings)
+        assert first[1:5] == (None, None, 0, GripperState.IDLE)
         with pytest.raises(BusyError, match="close it first"):
             gripper.subscribe()
         gripper.home()
@@ -78,8 +77,8 @@ def test_readings_follow_a_grip_and_end_with_the_line(line: str) -> None:
                 break
         assert grip.wait()
         widths = [reading.width for reading in seen if reading.width is not None]
-        assert widths[0] > 100 and widths[-1] < 21 and len(set(widths)) > 10
-        assert all(after.received > before.received for before, after in zip(seen, seen[1:]))
+        # The state may be an interval newer than the values.
+        assert widths[0] > 100 and widths[-1] < 26 and len(set(widths)) > 10
         assert 0 <= seen[-1].age < 1 and seen[-1].force is not None and seen[-1].force > 30
     with pytest.raises(StopIteration):
         next(readings)
@@ -94,18 +93,20 @@ def test_readings_follow_a_grip_and_end_with_the_line(line: str) -> None:
     gripper.close()
 
 
-def test_slow_loop_gets_the_newest_readings_and_their_number(simulator: Simulator) -> None:
-    with Gripper(simulator.tcp) as gripper, gripper.subscribe(width=False, force=False, buffer=3) as readings:
+def test_slow_loop_gets_the_newest_reading_and_none_after_the_end(simulator: Simulator) -> None:
+    with Gripper(simulator.tcp) as gripper:
+        readings = gripper.subscribe()
 
-        def returns_the_newest() -> bool:
-            dropped = readings.dropped
-            wait_for(lambda: readings.dropped >= dropped + 3)
-            before = time.time()
-            wait_for(lambda: readings.dropped >= dropped + 20)
-            return min(reading.received for reading in islice(readings, 3)) > before
+        def is_current_after_a_pause() -> bool:
+            next(readings)
+            time.sleep(0.3)
+            return next(readings).age < 0.2
 
-        # Updates that were lost in a pause of the computer count, too.
-        wait_for(returns_the_newest, 60)
+        wait_for(is_current_after_a_pause, 60)
+        time.sleep(0.3)
+        gripper.close()
+        with pytest.raises(NotConnectedError):
+            next(readings)
 
 
 @pytest.mark.parametrize("end", ["gripper off", "gripper frozen", "closed"])
@@ -137,16 +138,14 @@ def test_close_of_another_thread_ends_the_loop_normally(simulator: Simulator) ->
 def test_invalid_subscriptions_are_refused(simulator: Simulator) -> None:
     with Gripper(simulator.tcp) as gripper:
         requests: list[tuple[Callable[[], object], str]] = [
-            (lambda: gripper.subscribe(0.02), "interval is 0.02 s; expected 0.024 to 10 s for 3 values"),
-            (lambda: gripper.subscribe(0.009, speed=False, force=False), "expected 0.01 to 10 s"),
+            (lambda: gripper.subscribe(0.02), "interval is 0.02 s; expected 0.024 to 1 s for 3 values"),
+            (lambda: gripper.subscribe(0.009, speed=False, force=False), "expected 0.01 to 1 s"),
             (lambda: gripper.subscribe(float("nan")), "interval is NaN"),
-            (lambda: gripper.subscribe(buffer=0), "buffer is 0; expected 1 to 1024"),
             (lambda: gripper.subscribe(width=False, speed=False, force=False), "no value"),
         ]
         for subscribe, text in requests:
             with pytest.raises(InvalidError, match=text):
                 subscribe()
-        next(gripper.subscribe())
     with pytest.raises(NotConnectedError):
         gripper.subscribe()
 
@@ -156,18 +155,16 @@ def test_asyncio_iterates_beside_a_motion(simulator: Simulator) -> None:
         async with AsyncGripper(simulator.tcp) as gripper:
             await gripper.home()
             grip = asyncio.create_task(gripper.grip(20, speed=100))
-            async with gripper.subscribe(buffer=1024) as readings:
+            async with gripper.subscribe() as readings:
                 widths = []
                 async for reading in readings:
                     widths.append(reading.width)
-                    await gripper.force()
                     # A cancelled wait ends nothing.
                     with pytest.raises(asyncio.TimeoutError):
-                        while True:
-                            widths.append((await asyncio.wait_for(readings.__anext__(), 1e-4)).width)
+                        await asyncio.wait_for(readings.__anext__(), 1e-4)
                     if grip.done():
                         break
-                assert await grip and len(widths) > 10 and widths[-1] == pytest.approx(20, abs=1)
+                assert await grip and len(widths) > 5 and widths[-1] == pytest.approx(20, abs=1)
             assert [reading async for reading in readings] == []
             readings = gripper.subscribe()
             simulator.close()
@@ -178,20 +175,15 @@ def test_asyncio_iterates_beside_a_motion(simulator: Simulator) -> None:
     asyncio.run(program())
 
 
-def test_stream_yields_each_sample_once(wsg_sim: Simulator) -> None:
+def test_stream_yields_new_samples_until_its_end(wsg_sim: Simulator) -> None:
     host, port = wsg_sim.tcp.removeprefix("tcp://").split(":")
     with WSGController(None, host, int(port)) as gripper:
-        samples = gripper.subscribe(buffer=1024)
-        newest = gripper.subscribe()
+        closed, samples = gripper.subscribe(), gripper.subscribe()
         numbers = [sample.number for sample in islice(samples, 20)]
-        assert numbers == list(range(numbers[0], numbers[0] + 20)) and samples.dropped == 0
-        assert next(newest).number >= numbers[-1] and newest.dropped >= 19
-        newest.close()
+        assert numbers == sorted(set(numbers))
+        closed.close()
         with pytest.raises(StopIteration):
-            next(newest)
+            next(closed)
         gripper.fast_stop()
         with pytest.raises(StreamEndedError, match="FAST STOP|more than 1 s"):
             deque(samples, 0)
-        for buffer in (0, 1025):
-            with pytest.raises(InvalidError, match="expected 1 to 1024"):
-                gripper.subscribe(buffer)

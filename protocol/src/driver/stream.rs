@@ -255,8 +255,8 @@ pub enum Rejected {
         /// The length of the queue.
         queue_len: usize,
     },
-    /// The fingers are homing. Set-points are accepted again afterwards.
-    Homing,
+    /// An earlier [`home`](SetPointStream::home) or [`acknowledge`](SetPointStream::acknowledge) has not ended.
+    Busy,
     /// The stream has ended.
     Ended(Cause),
 }
@@ -274,7 +274,7 @@ impl core::fmt::Display for Rejected {
             Self::Full { queue_len } => {
                 write!(f, "the queue is full: {queue_len} earlier set-points are waiting")
             }
-            Self::Homing => f.write_str("the fingers are homing"),
+            Self::Busy => f.write_str("a homing or an acknowledgement has not ended"),
             Self::Ended(cause) => write!(f, "the stream has ended: {cause}"),
         }
     }
@@ -323,11 +323,14 @@ impl<E> From<io::Error> for StartError<E> {
 /// Receives the result of a request to a stream. It is disconnected if the stream ends first.
 pub type Outcome<E> = mpsc::Receiver<Result<(), Error<E>>>;
 
-/// A request to the worker, and where its result goes.
+/// A request to the worker. There is at most one at a time.
 #[derive(Debug)]
-enum Request<E> {
-    Home(HomingDirection, mpsc::Sender<Result<(), Error<E>>>),
-    Acknowledge(mpsc::Sender<Result<(), Error<E>>>),
+struct Request<E> {
+    /// The direction of a homing, or `None` to acknowledge.
+    home: Option<HomingDirection>,
+    /// Number of stops before the request. It has no effect after a later one.
+    stops: u32,
+    result: mpsc::Sender<Result<(), Error<E>>>,
 }
 
 /// A gripper that follows set-points; see the [module](self).
@@ -367,7 +370,7 @@ where
         let handle = gripper.stop_handle()?;
         let clock = gripper.clock().clone();
         let (requests, received) = mpsc::channel();
-        let worker = Worker::new(gripper, config, received)?;
+        let worker = Worker::new(gripper, config, received, handle.clone())?;
         let (shared, backend) = (Arc::clone(worker.shared()), worker.backend());
         let thread = thread::Builder::new().name("wsg set-points".into());
         let worker = thread.spawn(move || worker.run())?;
@@ -418,8 +421,8 @@ impl<IO: ErrorType, C: Clock + Clone> SetPointStream<IO, C> {
     ) -> Result<(), Rejected> {
         let mut shared = self.open()?;
         shared.check(Quantity::Width, position.0)?;
-        if shared.is_homing {
-            return Err(Rejected::Homing);
+        if shared.is_busy {
+            return Err(Rejected::Busy);
         }
         let Shared { speed_limit, latest, queue_len, .. } = *shared;
         let here = shared.within_stroke(latest.position);
@@ -457,38 +460,41 @@ impl<IO: ErrorType, C: Clock + Clone> SetPointStream<IO, C> {
     /// [`home`](super::blocking::GripperOver::home), and an error leaves the stream without set-points.
     ///
     /// # Errors
-    /// Returns [`Rejected`], and nothing changes: the fingers are homing, or the stream has ended.
+    /// Returns [`Rejected`], and nothing changes: an earlier request has not ended, or the stream has ended.
     pub fn home(&self, direction: HomingDirection) -> Result<Outcome<IO::Error>, Rejected> {
-        let mut shared = self.open()?;
-        if shared.is_homing {
-            return Err(Rejected::Homing);
-        }
-        (shared.is_homing, shared.trajectory) = (true, None);
-        Ok(self.request(|result| Request::Home(direction, result)))
+        self.request(self.open()?, Some(direction))
     }
 
     /// Acknowledges a FAST STOP or a fault (command set, 3.2.5). Make sure that the fingers may move.
     ///
-    /// A stream that a FAST STOP has ended begins again, without set-points, so that nothing moves before the next one. A
-    /// stream that runs keeps its set-points.
+    /// All set-points are dropped, so that nothing moves before the next one. A stream that a FAST STOP has ended begins
+    /// again.
     ///
     /// # Errors
-    /// Returns [`Rejected`], and nothing changes: the stream has ended for another reason.
+    /// Returns [`Rejected`], and nothing changes: an earlier request has not ended, or the stream has ended for another
+    /// reason.
     pub fn acknowledge(&self) -> Result<Outcome<IO::Error>, Rejected> {
-        match lock(&self.shared).cause {
+        let shared = lock(&self.shared);
+        match shared.cause {
             Some(cause) if !cause.is_fast_stop() => Err(Rejected::Ended(cause)),
-            _ => Ok(self.request(Request::Acknowledge)),
+            _ => self.request(shared, None),
         }
     }
 
+    /// Passes a request to the worker under the lock, under which the worker rejects requests at the end of the stream.
     fn request(
         &self,
-        request: impl FnOnce(mpsc::Sender<Result<(), Error<IO::Error>>>) -> Request<IO::Error>,
-    ) -> Outcome<IO::Error> {
+        mut shared: MutexGuard<'_, Shared>,
+        home: Option<HomingDirection>,
+    ) -> Result<Outcome<IO::Error>, Rejected> {
+        if shared.is_busy {
+            return Err(Rejected::Busy);
+        }
+        (shared.is_busy, shared.trajectory) = (true, None);
         let (result, outcome) = mpsc::channel();
         // Without a worker, the outcome is disconnected.
-        let _ = self.requests.send(request(result));
-        outcome
+        let _ = self.requests.send(Request { home, stops: self.handle.count(), result });
+        Ok(outcome)
     }
 
     /// Locks the shared state, unless the stream has ended.
@@ -523,12 +529,10 @@ impl<IO: ErrorType, C> SetPointStream<IO, C> {
         lock(&self.shared).history.iter().copied().collect()
     }
 
-    /// Returns a reader of the samples after this moment, which keeps the newest `buffer` samples for a slow caller, at most
-    /// [`HISTORY_LEN`] and at least one.
+    /// Returns a reader of the samples after this moment.
     #[must_use]
-    pub fn samples(&self, buffer: usize) -> Samples {
-        let last = lock(&self.shared).latest.number;
-        Samples { shared: Arc::clone(&self.shared), last, buffer: buffer.clamp(1, HISTORY_LEN), dropped: 0 }
+    pub fn samples(&self) -> Samples {
+        Samples { shared: Arc::clone(&self.shared), last: lock(&self.shared).latest.number }
     }
 
     /// Returns the last [`GAPS_LEN`] gaps, oldest first, also after the end of the stream.
@@ -589,42 +593,31 @@ impl<IO: ErrorType, C> Drop for SetPointStream<IO, C> {
     }
 }
 
-/// Returns each new sample of a stream once, from any thread.
+/// Waits for new samples of a stream, from any thread.
 #[derive(Clone, Debug)]
 pub struct Samples {
     shared: Arc<Mutex<Shared>>,
     /// Number of the last returned sample.
     last: u32,
-    buffer: usize,
-    dropped: u64,
 }
 
 impl Samples {
-    /// Waits for the next sample for at most `within`, and returns `None` if none arrives.
+    /// Waits for a sample after the last returned one for at most `within`, and returns the latest, or `None` if none arrives.
     ///
     /// # Errors
-    /// Returns the reason for the end of the stream, when all samples before it have been returned.
+    /// Returns the reason for the end of the stream, from then on.
     pub fn next_within(&mut self, within: Duration) -> Result<Option<Sample>, Cause> {
         let shared = lock(&self.shared);
         let recorded = Arc::clone(&shared.recorded);
         let is_idle = |shared: &mut Shared| shared.latest.number == self.last && shared.cause.is_none();
         let waited = recorded.wait_timeout_while(shared, within, is_idle);
         let (shared, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        let new = shared.latest.number.wrapping_sub(self.last) as usize;
-        if new == 0 {
-            return shared.cause.map_or(Ok(None), Err);
+        if let Some(cause) = shared.cause {
+            return Err(cause);
         }
-        let kept = new.min(self.buffer).min(shared.history.len());
-        let sample = shared.history.get(shared.history.len().saturating_sub(kept)).copied();
-        self.dropped = self.dropped.saturating_add(new.saturating_sub(kept) as u64);
-        self.last = sample.map_or(self.last, |sample| sample.number);
-        Ok(sample)
-    }
-
-    /// Returns the number of samples that newer ones have replaced before they were returned.
-    #[must_use]
-    pub const fn dropped(&self) -> u64 {
-        self.dropped
+        let is_new = shared.latest.number != self.last;
+        self.last = shared.latest.number;
+        Ok(is_new.then_some(shared.latest))
     }
 }
 
@@ -644,8 +637,8 @@ struct Shared {
     gaps: VecDeque<Gap>,
     exchanges: Exchanges,
     is_end_requested: bool,
-    /// Whether homing was requested and has not ended. Nothing else moves the fingers meanwhile.
-    is_homing: bool,
+    /// Whether a [`Request`] has not ended. Set-points are rejected meanwhile.
+    is_busy: bool,
     /// The reason why the worker ends. From then on, a stop has no effect on it.
     cause: Option<Cause>,
     end: Option<End>,
@@ -729,7 +722,7 @@ mod tests {
             let rejected = Rejected::Ended(cause).to_string();
             assert!(rejected.contains("the stream has ended") && rejected.contains(text), "{rejected}");
         }
-        assert!(Rejected::Homing.to_string().contains("homing"));
+        assert!(Rejected::Busy.to_string().contains("homing"));
         assert!(Rejected::Full { queue_len: 17 }.to_string().contains("17 earlier"));
         for (ahead_ms, text) in [(4_000_000, "4000 s ahead"), (i32::MIN, "2147483 s in the past")] {
             let rejected = Rejected::BeyondHorizon { ahead_ms }.to_string();

@@ -9,9 +9,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Callable, Optional, TypeVar, cast
 
 from ._gripper import Gripper
-from ._native import Driver, Ticket, Updates
+from ._native import Driver, Ticket
 from ._types import Reading
-from ._updates import reading
+from ._updates import Subscription, reading
 
 if TYPE_CHECKING:
     from typing_extensions import Concatenate, ParamSpec
@@ -76,10 +76,10 @@ def _asynchronous(
 
 
 class AsyncSubscription:
-    """Like :class:`Subscription`, with ``async with`` and ``async for``. A cancelled wait misses no reading."""
+    """Like :class:`Subscription`, with ``async with`` and ``async for``."""
 
-    def __init__(self, native: Updates) -> None:
-        self._native = native
+    def __init__(self, subscription: Subscription[Reading]) -> None:
+        self._subscription = subscription
 
     async def __aenter__(self) -> AsyncSubscription:
         return self
@@ -96,23 +96,14 @@ class AsyncSubscription:
         return self
 
     async def __anext__(self) -> Reading:
-        while True:
-            try:
-                row = self._native.take()
-            except StopIteration:
-                raise StopAsyncIteration from None
-            if row is not None:
-                return reading(row)
-            await _ask(self._native.wait)
-
-    @property
-    def dropped(self) -> int:
-        """Like ``Subscription.dropped``."""
-        return self._native.dropped()
+        reading = await asyncio.get_running_loop().run_in_executor(None, next, self._subscription, None)
+        if reading is None:
+            raise StopAsyncIteration
+        return reading
 
     async def close(self) -> None:
         """Like ``Subscription.close``."""
-        await asyncio.get_running_loop().run_in_executor(None, self._native.close)
+        await asyncio.get_running_loop().run_in_executor(None, self._subscription.close)
 
 
 class AsyncGripper:
@@ -224,10 +215,9 @@ class AsyncGripper:
         width: bool = True,
         speed: bool = True,
         force: bool = True,
-        buffer: int = 1,
     ) -> AsyncSubscription:
         """Like ``Gripper.subscribe``, with ``async with`` and ``async for``."""
-        return AsyncSubscription(self._connected().subscribe(interval, width, speed, force, buffer))
+        return AsyncSubscription(Subscription(self._connected().subscribe(interval, width, speed, force), reading))
 
     # Device
 

@@ -335,7 +335,6 @@ class Gripper:
         width: bool = True,
         speed: bool = True,
         force: bool = True,
-        buffer: int = 1,
     ) -> Subscription[Reading]:
         """Make the gripper send its state on its own, and iterate over it: the fastest way to observe a motion.
 
@@ -346,14 +345,13 @@ class Gripper:
                     print(reading.width, reading.force, reading.state)
 
         A real gripper sends about 140 values a second, so the shortest ``interval``, which is the default, is 24 ms for all
-        three values, 16 ms for two and 10 ms for one. The longest is 10 s. The newest ``buffer`` readings wait for a slow loop, 1
-        to 1024; ``dropped`` counts the others. Other requests are possible meanwhile, from another thread or in the loop. A
-        connection has one subscription at a time (``BusyError``).
+        three values, 16 ms for two and 10 ms for one. The longest is 1 s. A slow loop gets the newest reading. Other requests are
+        possible meanwhile, from another thread or in the loop. A connection has one subscription at a time (``BusyError``).
 
         The loop raises ``NotConnectedError`` when the connection is lost, and ``UnansweredError`` if no reading arrives for 1 s
         and ``interval``.
         """
-        return Subscription(self._core.subscribe(interval, width, speed, force, buffer), reading)
+        return Subscription(self._core.subscribe(interval, width, speed, force), reading)
 
     # Device (command set, 3.5)
 

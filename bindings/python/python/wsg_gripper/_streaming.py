@@ -215,15 +215,15 @@ class StreamingGripper:
         """Reference the fingers at an end stop while the stream runs, and wait for the end.
 
         All set-points are dropped, and the fingers stop first. Meanwhile set-points raise ``BusyError``. Nothing moves
-        afterwards before the next one. Raises like ``Gripper.home``.
+        afterwards before the next one. Raises like ``Gripper.home``, and ``StreamEndedError``.
         """
         self._running().home(direction)
 
     def acknowledge(self) -> None:
         """Acknowledge a FAST STOP or a fault, which unlocks the fingers. Make sure that they may move.
 
-        A stream that a FAST STOP has ended begins again without set-points, so nothing moves before the next one. After any other
-        end it raises ``StreamEndedError``. A stream that runs keeps its set-points.
+        All set-points are dropped, so nothing moves before the next one. A stream that a FAST STOP has ended begins again. After any
+        other end it raises ``StreamEndedError``.
         """
         self._running().acknowledge()
 
@@ -236,16 +236,16 @@ class StreamingGripper:
         """
         return _sample(self._running().latest())
 
-    def subscribe(self, buffer: int = 1) -> Subscription[Sample]:
+    def subscribe(self) -> Subscription[Sample]:
         """Iterate over new samples, without polling::
 
             for sample in gripper.subscribe():
                 print(sample.position, sample.force)
 
-        The newest ``buffer`` samples wait for a slow loop, 1 to 1024; ``dropped`` counts the others. Several loops may run at a
-        time. A loop raises ``StreamEndedError`` after the end of the stream.
+        A slow loop gets the latest sample, and :meth:`history` keeps the others. Several loops may run at a time. A loop raises
+        ``StreamEndedError`` after the end of the stream.
         """
-        return Subscription(self._running().subscribe(buffer), _sample)
+        return Subscription(self._running().subscribe(), _sample)
 
     def history(self) -> memoryview[float]:
         """Return the last 1024 samples, oldest first: rows of doubles with the columns of :class:`Sample`.

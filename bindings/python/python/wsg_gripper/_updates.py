@@ -15,7 +15,6 @@ class _Source(Protocol[Row]):
     """A native end of a subscription."""
 
     def next(self) -> Row: ...
-    def dropped(self) -> int: ...
     def close(self) -> None: ...
 
 
@@ -27,8 +26,8 @@ def reading(row: tuple[float, Optional[float], Optional[float], Optional[float],
 class Subscription(Generic[T]):
     """An iterator over new states of a gripper, returned by ``subscribe``.
 
-    It waits for the next state, and returns each one once. A slow loop gets the newest states. It ends with an exception
-    when no more states arrive, and normally after :meth:`close`, which the end of a ``with`` block calls.
+    It waits for a new state, and returns none twice. A slow loop gets the newest state. It ends with an exception as soon as
+    no more states arrive, and normally after :meth:`close`, which the end of a ``with`` block calls.
     """
 
     def __init__(self, native: _Source[Row], convert: Callable[[Row], T]) -> None:
@@ -51,11 +50,6 @@ class Subscription(Generic[T]):
 
     def __next__(self) -> T:
         return self._convert(self._native.next())
-
-    @property
-    def dropped(self) -> int:
-        """Number of states that this loop has missed because newer ones replaced them."""
-        return self._native.dropped()
 
     def close(self) -> None:
         """End the subscription. It ends the loop of another thread, too."""

@@ -13,7 +13,9 @@ use crate::command::Command;
 use crate::driver::blocking::{Gripper, Transport};
 use crate::driver::engine::{Awaited, Copied, Goal};
 use crate::driver::link::Link;
-use crate::driver::{Clock, Error, Mm, MmPerS, N, OnBlock, Pending, StopKind, Update};
+use crate::driver::{
+    Clock, Error, Mm, MmPerS, N, OnBlock, Pending, StopHandle, StopKind, UPDATES_LEN, Update,
+};
 use crate::frame::Frame;
 use crate::reply::Reply;
 use crate::session::{MISMATCH, Topic};
@@ -55,6 +57,7 @@ pub(super) struct Worker<IO: ErrorType, C> {
     set_point: Option<f32>,
     segment: Segment,
     requests: mpsc::Receiver<Request<IO::Error>>,
+    handle: StopHandle,
     homing: Option<Homing<IO::Error>>,
 }
 
@@ -78,6 +81,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         mut gripper: Gripper<IO, C>,
         config: Config,
         requests: mpsc::Receiver<Request<IO::Error>>,
+        handle: StopHandle,
     ) -> Result<Self, Error<IO::Error>> {
         let mut clock = gripper.clock().clone();
         gripper.engine.link_mut().tolerate_late_answers(true);
@@ -129,7 +133,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             gaps: VecDeque::new(),
             exchanges,
             is_end_requested: false,
-            is_homing: false,
+            is_busy: false,
             cause: None,
             end: None,
         }));
@@ -143,6 +147,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             set_point: None,
             segment: Segment { pending: None, end: position, way: 0.0, blocked: 0.0, force_limit },
             requests,
+            handle,
             homing: None,
         })
     }
@@ -169,76 +174,104 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
                     break cause;
                 }
             };
-            if !self.finish(cause).is_fast_stop() || !self.wait_for_acknowledge() {
+            if !self.finish(cause).is_fast_stop() {
                 return self.gripper;
+            }
+            loop {
+                match self.wait_for_acknowledge() {
+                    None => {}
+                    Some(true) => break,
+                    Some(false) => return self.gripper,
+                }
             }
         }
     }
 
-    /// After a FAST STOP, keeps the connection alive until the caller acknowledges it. Returns whether the stream begins again.
-    fn wait_for_acknowledge(&mut self) -> bool {
-        loop {
-            if lock(&self.shared).is_end_requested {
-                return false;
-            }
-            match self.gripper.next_update(PARKED_MS) {
-                Ok(_) | Err(Error::Stopped(_)) if self.gripper.is_connected() => {}
-                _ => return false,
-            }
-            match self.requests.try_recv() {
-                Ok(Request::Acknowledge(result)) => {
-                    let begun = self.gripper.acknowledge().and_then(|()| self.begin_again());
-                    let is_begun = begun.is_ok();
-                    // The caller may have gone.
-                    let _ = result.send(begun);
-                    if is_begun {
-                        return true;
-                    }
-                }
-                Ok(Request::Home(..)) | Err(mpsc::TryRecvError::Empty) => {}
-                Err(mpsc::TryRecvError::Disconnected) => return false,
-            }
+    /// After a FAST STOP, keeps the connection alive for a moment and serves a request to acknowledge. Returns whether the
+    /// stream begins again, or `None` while that is open.
+    fn wait_for_acknowledge(&mut self) -> Option<bool> {
+        if lock(&self.shared).is_end_requested {
+            return Some(false);
         }
+        let lost = match self.gripper.next_update(PARKED_MS) {
+            Ok(_) | Err(Error::Stopped(_)) if self.gripper.is_connected() => None,
+            Ok(_) | Err(Error::Stopped(_)) => Some(Cause::Unanswered),
+            Err(error) => Some(cause_of(error)),
+        };
+        if let Some(cause) = lost {
+            let mut shared = lock(&self.shared);
+            self.reject_requests(&mut shared);
+            shared.cause = Some(cause);
+            shared.end = shared.end.map(|end| End { cause, ..end });
+            return Some(false);
+        }
+        let Ok(Request { stops, result, .. }) = self.requests.try_recv() else { return None };
+        let begun = if self.handle.count() == stops {
+            self.gripper.acknowledge().and_then(|()| self.begin_again())
+        } else {
+            Err(Error::Stopped(StopKind::FastStop))
+        };
+        let mut shared = lock(&self.shared);
+        shared.is_busy = false;
+        if begun.is_ok() {
+            (shared.cause, shared.end) = (None, None);
+        }
+        drop(shared);
+        let is_begun = begun.is_ok();
+        // The caller may have gone.
+        let _ = result.send(begun);
+        is_begun.then_some(true)
     }
 
     /// Begins again without set-points, with a new sample.
     fn begin_again(&mut self) -> Result<(), Error<IO::Error>> {
-        self.forget_set_points();
+        // Updates from before are no samples.
+        for _ in 0..UPDATES_LEN {
+            self.gripper.next_update(0)?;
+        }
         if self.backend == Backend::PrePosition {
             for topic in TOPICS {
                 self.gripper.subscribe(topic, AutoUpdate::every(UPDATE_PERIOD_MS));
             }
         }
-        self.measure()?;
         self.gripper.engine.link_mut().tolerate_late_answers(true);
-        let mut shared = lock(&self.shared);
-        (shared.cause, shared.end) = (None, None);
-        Ok(())
+        self.settle()
     }
 
-    /// Drops all set-points, and the segment that has ended.
-    fn forget_set_points(&mut self) {
-        let mut shared = lock(&self.shared);
-        (shared.trajectory, self.set_point) = (None, None);
-        let end = shared.latest.position;
-        self.segment = Segment { pending: None, end, way: 0.0, blocked: 0.0, ..self.segment };
+    /// Rejects the request that the worker has not seen.
+    fn reject_requests(&self, shared: &mut Shared) {
+        shared.is_busy = false;
+        while self.requests.try_recv().is_ok() {}
+    }
+
+    /// Drops all set-points. The next one begins where the fingers are.
+    fn settle(&mut self) -> Result<(), Error<IO::Error>> {
+        (lock(&self.shared).trajectory, self.set_point) = (None, None);
+        self.measure()?;
+        if self.segment.pending.is_none() {
+            (self.segment.end, self.segment.blocked) = (lock(&self.shared).latest.position, 0.0);
+        }
+        Ok(())
     }
 
     /// Serves the next request of the caller.
     fn serve(&mut self) -> Result<(), Cause> {
-        match self.requests.try_recv() {
-            Ok(Request::Acknowledge(result)) => answer(&result, self.gripper.acknowledge())?,
-            Ok(Request::Home(direction, result)) => match self.begin_homing(direction) {
-                Ok(pending) => self.homing = Some((pending, result)),
-                Err(refused) => self.end_homing(&result, Err(refused))?,
-            },
-            Err(_) => {}
+        if let Ok(Request { home, result, .. }) = self.requests.try_recv() {
+            let begun = match home {
+                Some(direction) => self.begin_homing(direction).map(Some),
+                None => self.gripper.acknowledge().map(|()| None),
+            };
+            match begun {
+                Ok(Some(pending)) => self.homing = Some((pending, result)),
+                Ok(None) => self.answer(&result, Ok(()))?,
+                Err(error) => self.answer(&result, Err(error))?,
+            }
         }
         let Some((pending, result)) = self.homing.take() else { return Ok(()) };
         match self.gripper.poll(&pending) {
             Ok(None) => self.homing = Some((pending, result)),
-            Ok(Some(())) => self.end_homing(&result, Ok(()))?,
-            Err(error) => self.end_homing(&result, Err(error))?,
+            Ok(Some(())) => self.answer(&result, Ok(()))?,
+            Err(error) => self.answer(&result, Err(error))?,
         }
         Ok(())
     }
@@ -246,26 +279,36 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Stops the fingers and begins to home.
     fn begin_homing(&mut self, direction: HomingDirection) -> Result<Pending<()>, Error<IO::Error>> {
         self.gripper.stop()?;
-        if let Some(pending) = &self.segment.pending {
+        if let Some(pending) = self.segment.pending.take()
             // Fetches the result; otherwise the homing would be rejected.
-            let _ = self.gripper.wait(pending);
+            && let Err(Error::Stopped(kind)) = self.gripper.wait(&pending)
+        {
+            return Err(Error::Stopped(kind));
         }
         if self.backend == Backend::Script {
             // Otherwise the script refuses the next set-point because of the Stop.
             exchange(&mut self.gripper, self.backend, None)?;
         }
-        self.forget_set_points();
         self.gripper.begin_home(direction)
     }
 
-    fn end_homing(
+    /// Passes the outcome of a request to the caller, which may have gone. Fails if the fingers were stopped, which ends the
+    /// stream.
+    fn answer(
         &mut self,
         result: &mpsc::Sender<Result<(), Error<IO::Error>>>,
-        ended: Result<(), Error<IO::Error>>,
+        outcome: Result<(), Error<IO::Error>>,
     ) -> Result<(), Cause> {
-        self.forget_set_points();
-        lock(&self.shared).is_homing = false;
-        answer(result, ended)
+        let stopped = match outcome {
+            Err(Error::Stopped(kind)) => Err(Cause::Stopped(kind)),
+            Err(Error::Aborted) => Err(Cause::StoppedByOther),
+            _ => self.settle().map_err(cause_of),
+        };
+        if stopped.is_ok() {
+            lock(&self.shared).is_busy = false;
+        }
+        let _ = result.send(outcome);
+        stopped
     }
 
     /// Records the state by queries, which every gripper answers at any time.
@@ -452,12 +495,14 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             if shared.is_end_requested && cause == Cause::Stopped(StopKind::Stop) {
                 cause = Cause::Requested;
             }
-            (shared.cause, shared.is_homing) = (Some(cause), false);
+            shared.cause = Some(cause);
+            self.reject_requests(&mut shared);
             shared.recorded.notify_all();
         }
-        let homing = self.homing.take().map(|(pending, _)| pending);
+        let segment = self.segment.pending.take();
+        let motion = self.homing.take().map(|(pending, _)| pending).or(segment);
         let is_stop_confirmed = self.gripper.stop().is_ok();
-        if is_stop_confirmed && let Some(pending) = &homing.or(self.segment.pending) {
+        if is_stop_confirmed && let Some(pending) = &motion {
             // Fetches the result; otherwise the next motion would be rejected.
             let _ = self.gripper.wait(pending);
         }
@@ -484,20 +529,6 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         shared.end = Some(End { cause, is_stop_confirmed });
         cause
     }
-}
-
-/// Passes the outcome of a request to the caller, which may have gone. Fails if it was stopped, which ends the stream.
-fn answer<E>(
-    result: &mpsc::Sender<Result<(), Error<E>>>,
-    outcome: Result<(), Error<E>>,
-) -> Result<(), Cause> {
-    let ended = match outcome {
-        Err(Error::Stopped(kind)) => Err(Cause::Stopped(kind)),
-        Err(Error::Aborted) => Err(Cause::StoppedByOther),
-        _ => Ok(()),
-    };
-    let _ = result.send(outcome);
-    ended
 }
 
 /// Sends an order with the latest sample to the script, or only measures, and returns the state. Returns `None` for a
@@ -615,7 +646,8 @@ mod tests {
         }
         let mut gripper = Gripper::<_, _>::with_config(rig.clone(), Watch(rig.clone()), config);
         gripper.connect().unwrap();
-        let worker = Worker::new(gripper, Config::DEFAULT, mpsc::channel().1).unwrap();
+        let handle = gripper.stop_handle().unwrap();
+        let worker = Worker::new(gripper, Config::DEFAULT, mpsc::channel().1, handle).unwrap();
         assert_eq!(worker.backend(), backend);
         (rig, worker)
     }
@@ -706,6 +738,85 @@ mod tests {
             worker.finish(cause);
             assert_eq!(lock(&shared).end, Some(End { cause: end, is_stop_confirmed: true }));
         }
+    }
+
+    #[test]
+    fn acknowledgement_from_before_a_stop_has_no_effect() {
+        for (is_before_end, is_before_stop) in [(false, false), (true, false), (false, true)] {
+            let (rig, mut worker) = worker(Backend::PrePosition);
+            let (requests, received) = mpsc::channel();
+            worker.requests = received;
+            let handle = worker.handle.clone();
+            let (result, outcome) = mpsc::channel();
+            let acknowledge =
+                |stops| requests.send(Request { home: None, stops, result: result.clone() }).unwrap();
+            worker.segment.end = 10.0;
+            order(&rig, &worker, 80.0, 100.0);
+            if is_before_end {
+                acknowledge(handle.count());
+            }
+            handle.fast_stop().unwrap();
+            let cause = worker.rest(now(&rig)).unwrap_err();
+            assert!(worker.finish(cause).is_fast_stop());
+            if !is_before_end {
+                acknowledge(handle.count());
+            }
+            if is_before_stop {
+                handle.fast_stop().unwrap();
+            }
+            let is_served = !is_before_end && !is_before_stop;
+            assert_eq!(worker.wait_for_acknowledge(), is_served.then_some(true));
+            assert_eq!(rig.received(CommandId::Acknowledge), usize::from(is_served));
+            assert_eq!(outcome.try_recv().is_ok_and(|outcome| outcome.is_ok()), is_served);
+            assert_eq!(lock(worker.shared()).cause, (!is_served).then_some(cause));
+            if is_served {
+                assert!(lock(worker.shared()).trajectory.is_none());
+                assert_eq!(worker.segment.end, HERE);
+            }
+        }
+    }
+
+    #[test]
+    fn acknowledgement_while_the_stream_runs_drops_all_set_points() {
+        for home in [None, Some(HomingDirection::Positive)] {
+            let (rig, mut worker) = worker(Backend::PrePosition);
+            let (requests, received) = mpsc::channel();
+            worker.requests = received;
+            let (result, outcome) = mpsc::channel();
+            worker.segment.end = 10.0;
+            order(&rig, &worker, 80.0, 100.0);
+            requests.send(Request { home, stops: 0, result }).unwrap();
+            until_answered(&rig, &mut worker, &outcome);
+            assert_eq!(rig.received(CommandId::PrePosition), 0);
+            assert_eq!((worker.segment.end, worker.set_point), (HERE, None));
+        }
+    }
+
+    /// Advances the worker until it has answered a request.
+    fn until_answered(
+        rig: &Rig,
+        worker: &mut Worker<Rig, Watch>,
+        outcome: &mpsc::Receiver<Result<(), Error<crate::driver::tests::rig::Noise>>>,
+    ) {
+        for _ in 0..1_000 {
+            worker.turn().unwrap();
+            if let Ok(outcome) = outcome.try_recv() {
+                return outcome.unwrap();
+            }
+            worker.rest(now(rig).plus(10)).unwrap();
+        }
+        panic!("no answer");
+    }
+
+    #[test]
+    fn lost_connection_replaces_the_fast_stop_as_the_cause() {
+        let (rig, mut worker) = worker(Backend::Script);
+        worker.finish(Cause::FastStop);
+        rig.world(|world| world.closed = true);
+        assert_eq!(worker.wait_for_acknowledge(), Some(false));
+        let end = End { cause: Cause::Closed, is_stop_confirmed: true };
+        let shared = lock(worker.shared());
+        assert_eq!((shared.cause, shared.end), (Some(end.cause), Some(end)));
     }
 
     #[test]
