@@ -287,9 +287,10 @@ def test_running_stream_homes_and_is_acknowledged() -> None:
         gripper.acknowledge()
         assert gripper.ended is None and gripper.latest().set_point is None
         assert SystemFlags.FAST_STOP not in simulator.observe().flags
+        gripper.home(HomingDirection.OPEN)
         with Gripper(simulator.udp) as other:
-            gripper.set_target(100)
-            wait_for(lambda: gripper.latest().speed > 5)
+            gripper.set_target(60)
+            wait_for(lambda: gripper.latest().speed < -5)
             other.stop()
             wait_for(lambda: gripper.ended is not None)
         with pytest.raises(StreamEndedError, match="another client"):

@@ -467,8 +467,8 @@ impl<IO: ErrorType, C: Clock + Clone> SetPointStream<IO, C> {
 
     /// Acknowledges a FAST STOP or a fault (command set, 3.2.5). Make sure that the fingers may move.
     ///
-    /// All set-points are dropped, so that nothing moves before the next one. A stream that a FAST STOP has ended begins
-    /// again.
+    /// All set-points are dropped and the fingers stop, so that nothing moves before the next one. A stream that a FAST STOP
+    /// has ended begins again.
     ///
     /// # Errors
     /// Returns [`Rejected`], and nothing changes: an earlier request has not ended, or the stream has ended for another

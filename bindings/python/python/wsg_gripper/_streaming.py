@@ -222,8 +222,8 @@ class StreamingGripper:
     def acknowledge(self) -> None:
         """Acknowledge a FAST STOP or a fault, which unlocks the fingers. Make sure that they may move.
 
-        All set-points are dropped, so nothing moves before the next one. A stream that a FAST STOP has ended begins again. After any
-        other end it raises ``StreamEndedError``.
+        All set-points are dropped and the fingers stop, so nothing moves before the next set-point. A stream that a FAST STOP has
+        ended begins again. After any other end it raises ``StreamEndedError``.
         """
         self._running().acknowledge()
 

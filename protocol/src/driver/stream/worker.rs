@@ -207,7 +207,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         }
         let Ok(Request { stops, result, .. }) = self.requests.try_recv() else { return None };
         let begun = if self.handle.count() == stops {
-            self.gripper.acknowledge().and_then(|()| self.begin_again())
+            self.end_script().and_then(|()| self.gripper.acknowledge()).and_then(|()| self.begin_again())
         } else {
             Err(Error::Stopped(StopKind::FastStop))
         };
@@ -234,8 +234,9 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
                 self.gripper.subscribe(topic, AutoUpdate::every(UPDATE_PERIOD_MS));
             }
         }
+        self.settle()?;
         self.gripper.engine.link_mut().tolerate_late_answers(true);
-        self.settle()
+        Ok(())
     }
 
     /// Rejects the request that the worker has not seen.
@@ -257,10 +258,10 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Serves the next request of the caller.
     fn serve(&mut self) -> Result<(), Cause> {
         if let Ok(Request { home, result, .. }) = self.requests.try_recv() {
-            let begun = match home {
-                Some(direction) => self.begin_homing(direction).map(Some),
+            let begun = self.halt().and_then(|()| match home {
+                Some(direction) => self.gripper.begin_home(direction).map(Some),
                 None => self.gripper.acknowledge().map(|()| None),
-            };
+            });
             match begun {
                 Ok(Some(pending)) => self.homing = Some((pending, result)),
                 Ok(None) => self.answer(&result, Ok(()))?,
@@ -276,20 +277,25 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         Ok(())
     }
 
-    /// Stops the fingers and begins to home.
-    fn begin_homing(&mut self, direction: HomingDirection) -> Result<Pending<()>, Error<IO::Error>> {
+    /// Stops the fingers, so that no earlier set-point moves them any more.
+    fn halt(&mut self) -> Result<(), Error<IO::Error>> {
         self.gripper.stop()?;
         if let Some(pending) = self.segment.pending.take()
-            // Fetches the result; otherwise the homing would be rejected.
+            // Fetches the result; otherwise the next motion would be rejected.
             && let Err(Error::Stopped(kind)) = self.gripper.wait(&pending)
         {
             return Err(Error::Stopped(kind));
         }
+        self.end_script()
+    }
+
+    /// Makes the project's script forget the last set-point and a Stop. Otherwise it could affect the following motions, or refuse
+    /// the next set-point.
+    fn end_script(&mut self) -> Result<(), Error<IO::Error>> {
         if self.backend == Backend::Script {
-            // Otherwise the script refuses the next set-point because of the Stop.
             exchange(&mut self.gripper, self.backend, None)?;
         }
-        self.gripper.begin_home(direction)
+        Ok(())
     }
 
     /// Passes the outcome of a request to the caller, which may have gone. Fails if the fingers were stopped, which ends the
@@ -508,8 +514,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         }
         match self.backend {
             Backend::Script if is_stop_confirmed => {
-                // Otherwise the script could affect the following motions.
-                let _ = exchange(&mut self.gripper, self.backend, None);
+                let _ = self.end_script();
             }
             Backend::Script | Backend::UmiScript => {}
             Backend::PrePosition => {
@@ -787,7 +792,8 @@ mod tests {
             order(&rig, &worker, 80.0, 100.0);
             requests.send(Request { home, stops: 0, result }).unwrap();
             until_answered(&rig, &mut worker, &outcome);
-            assert_eq!(rig.received(CommandId::PrePosition), 0);
+            // UMI's script keeps its last speed until a Stop.
+            assert_eq!((rig.received(CommandId::PrePosition), rig.received(CommandId::Stop)), (0, 1));
             assert_eq!((worker.segment.end, worker.set_point), (HERE, None));
         }
     }
