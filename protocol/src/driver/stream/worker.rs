@@ -20,7 +20,7 @@ use crate::frame::Frame;
 use crate::reply::Reply;
 use crate::session::{MISMATCH, Topic};
 use crate::time::Instant;
-use crate::types::{AutoUpdate, HomingDirection, Status, SystemFlags};
+use crate::types::{AutoUpdate, Status, SystemFlags};
 use embedded_io::ErrorType;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, mpsc};
@@ -614,7 +614,7 @@ mod tests {
     use super::super::trajectory::Trajectory;
     use super::*;
     use crate::driver::tests::rig::{Rig, Watch, frame, payload, status};
-    use crate::{Command, CommandId, PrePositionFlags, Reply, Value};
+    use crate::{Command, CommandId, HomingDirection, PrePositionFlags, Reply, Value};
     use std::vec;
     use std::vec::Vec;
 
