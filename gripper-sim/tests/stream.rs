@@ -173,6 +173,40 @@ fn fast_stop_by_another_client_ends_the_stream_for_good() {
 }
 
 #[test]
+fn acknowledged_stream_homes_and_waits_for_set_points() {
+    for script in scripts() {
+        let (_server, address) = serve(script.clone(), None);
+        let stream = start(address, &script);
+        let mut reader = stream.samples();
+        stream.set_speed_limit(MmPerS(50.0)).unwrap();
+        stream.set_target(Mm(20.0)).unwrap();
+        until("motion", || latest(&stream).position < 105.0);
+        stream.stop_handle().fast_stop().unwrap();
+        let cause = ended(&stream).cause;
+        assert_eq!(cause, Cause::Stopped(StopKind::FastStop));
+        assert_eq!(stream.home(HomingDirection::Positive).err(), Some(Rejected::Ended(cause)));
+        until("the end for the reader", || reader.next_within(PATIENCE) == Err(cause));
+
+        stream.acknowledge().unwrap().recv_timeout(PATIENCE).unwrap().unwrap();
+        samples(&stream, 20);
+        assert_eq!((stream.ended(), latest(&stream).set_point), (None, None));
+        assert!(reader.next_within(PATIENCE).unwrap().unwrap().position < 106.0);
+        assert_standing(address);
+
+        stream.set_target(Mm(20.0)).unwrap();
+        until("motion", || latest(&stream).position < 95.0);
+        let outcome = stream.home(HomingDirection::Positive).unwrap();
+        assert_eq!(stream.set_target(Mm(50.0)), Err(Rejected::Busy));
+        outcome.recv_timeout(PATIENCE).unwrap().unwrap();
+        samples(&stream, 20);
+        assert_eq!((latest(&stream).position, latest(&stream).set_point), (110.0, None));
+        stream.set_target(Mm(100.0)).unwrap();
+        reach(&stream, 100.0);
+        assert_eq!(stream.end().1, ENDED_BY_CALLER);
+    }
+}
+
+#[test]
 fn stop_by_another_client_ends_the_stream() {
     for script in scripts() {
         let (_server, address) = serve(script.clone(), None);

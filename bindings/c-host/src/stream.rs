@@ -59,6 +59,7 @@ fn of_rejected(rejected: Rejected) -> i32 {
         Rejected::OutOfLimits(_) => wsg_host_error::OutOfLimits.into(),
         Rejected::BeyondHorizon { .. } => wsg_host_error::Argument.into(),
         Rejected::Full { .. } => wsg_host_error::QueueFull.into(),
+        Rejected::Busy => wsg_host_error::MotionRunning.into(),
         Rejected::Ended(_) => wsg_host_error::Ended.into(),
     }
 }

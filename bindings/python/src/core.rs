@@ -15,6 +15,7 @@ use wsg_protocol::driver::{Error, MotionResult, Pending, StopHandle, StopKind};
 use crate::error::{self, Failure};
 use crate::interpreter::process;
 use crate::line::{Calls, Clock, Line};
+use crate::updates::Feed;
 
 /// A driver of either protocol.
 pub(crate) enum Driver {
@@ -42,6 +43,8 @@ pub(crate) struct Core {
     stops: AtomicUsize,
     /// The thread that uses the driver.
     owner: Mutex<Option<ThreadId>>,
+    /// The subscription of this connection.
+    feed: Mutex<Option<Arc<Feed>>>,
     /// The process that opened the line. A forked child must not use it.
     process: usize,
 }
@@ -106,6 +109,7 @@ impl Core {
             handle,
             stops: AtomicUsize::new(0),
             owner: Mutex::new(None),
+            feed: Mutex::new(None),
             process: process(),
         });
         core.with(true, |driver| each!(driver, gripper => gripper.connect()))?;
@@ -120,11 +124,12 @@ impl Core {
         handles_signals: bool,
         act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
     ) -> Result<T, Failed> {
-        self.with_calls(handles_signals, Stage::Query, act)
+        self.with_calls(None, handles_signals, Stage::Query, act)
     }
 
     fn with_calls<T>(
         &self,
+        held: Option<MutexGuard<'_, Option<Driver>>>,
         handles_signals: bool,
         stage: Stage,
         act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
@@ -137,9 +142,12 @@ impl Core {
             // A signal handler within a call cannot wait for the end of that call.
             return Err(Error::MotionRunning.into());
         }
-        calls.waiting.fetch_add(1, SeqCst);
-        let mut driver = lock(&self.driver);
-        calls.waiting.fetch_sub(1, SeqCst);
+        let mut driver = held.unwrap_or_else(|| {
+            calls.waiting.fetch_add(1, SeqCst);
+            let driver = lock(&self.driver);
+            calls.waiting.fetch_sub(1, SeqCst);
+            driver
+        });
         let driver = driver.as_mut().ok_or(Error::NotConnected)?;
         *lock(owner) = Some(thread::current().id());
         calls.handles_signals.store(handles_signals, SeqCst);
@@ -161,12 +169,32 @@ impl Core {
         result
     }
 
+    /// Begins a motion that was requested after `stops`, unless the gripper has been stopped since.
     pub(crate) fn begin<T>(
         &self,
         handles_signals: bool,
+        stops: usize,
         act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
     ) -> Result<T, Failed> {
-        self.with_calls(handles_signals, Stage::Begin, act)
+        self.with_calls(None, handles_signals, Stage::Begin, |driver| {
+            self.check_stops(stops)?;
+            act(driver)
+        })
+    }
+
+    /// Acknowledges a FAST STOP, unless there was another stop since the request.
+    pub(crate) fn acknowledge(&self, handles_signals: bool) -> Result<(), Failed> {
+        let stops = self.stops();
+        self.with(handles_signals, |driver| {
+            self.check_stops(stops)?;
+            each!(driver, gripper => gripper.acknowledge())
+        })
+    }
+
+    /// Fails if the gripper was stopped while a request waited for the driver. The driver has reported the stop to the call that
+    /// used it meanwhile, such as a subscription, and not to this one.
+    fn check_stops(&self, stops: usize) -> Result<(), Failure> {
+        if self.stops() == stops { Ok(()) } else { Err(Error::Stopped(StopKind::Stop)) }
     }
 
     /// Waits for the end of a motion that began after `stops`, and lets other requests pass.
@@ -178,12 +206,8 @@ impl Core {
     ) -> Result<T, Failed> {
         loop {
             let wait = |driver: &mut Driver| each!(driver, gripper => gripper.wait(pending));
-            match self.with_calls(handles_signals, Stage::Wait, wait) {
-                Err(Failed::Yielded) => {
-                    while self.calls.waiting.load(SeqCst) > 0 {
-                        thread::yield_now();
-                    }
-                }
+            match self.with_calls(None, handles_signals, Stage::Wait, wait) {
+                Err(Failed::Yielded) => self.let_pass(),
                 // The thread that stopped the gripper received the confirmation before this one.
                 Err(Failed::Driver(Error::Aborted)) if self.stops() != stops => {
                     return Err(Error::Stopped(StopKind::Stop).into());
@@ -193,13 +217,75 @@ impl Core {
         }
     }
 
+    /// Lets the waiting requests pass.
+    fn let_pass(&self) {
+        while self.calls.waiting.load(SeqCst) > 0 {
+            thread::yield_now();
+        }
+    }
+
+    /// Registers a subscription. Returns whether there is no other one.
+    pub(crate) fn begin_updates(&self, feed: &Arc<Feed>) -> Result<bool, Failed> {
+        if !self.is_open() {
+            return Err(Error::NotConnected.into());
+        }
+        let mut current = lock(&self.feed);
+        let is_free = current.as_ref().is_none_or(|other| other.is_over());
+        if is_free {
+            *current = Some(Arc::clone(feed));
+        }
+        Ok(is_free)
+    }
+
+    /// Receives updates for a moment, and lets other requests pass. Returns whether the subscription continues.
+    pub(crate) fn receive_updates(&self, feed: &Feed) -> bool {
+        let receive = |driver: &mut Driver| each!(driver, gripper => feed.receive(gripper));
+        if let Err(Failed::Driver(failure)) = self.with_calls(None, false, Stage::Wait, receive) {
+            feed.end(Some(failure));
+        }
+        self.let_pass();
+        feed.is_running()
+    }
+
+    /// Makes the gripper send no more updates.
+    pub(crate) fn unsubscribe(&self, feed: &Feed) {
+        // Without a connection there is nothing to end.
+        let _ = self.with(false, |driver| each!(driver, gripper => feed.unsubscribe(gripper)));
+    }
+
+    /// Ends a subscription, with a failure unless its reader has closed it, and waits for the end.
+    pub(crate) fn end_updates(&self, feed: &Feed, failure: Option<Failure>) {
+        feed.end(failure);
+        if self.is_foreign() || self.is_called_by_this_thread() {
+            return;
+        }
+        if feed.is_pulled && !feed.is_over() {
+            self.unsubscribe(feed);
+            feed.set_over();
+        }
+        feed.wait_for_end();
+    }
+
+    /// Ends the subscription of this connection.
+    fn end_own_updates(&self) {
+        if self.is_foreign() {
+            return;
+        }
+        let feed = lock(&self.feed).take();
+        if let Some(feed) = feed {
+            self.end_updates(&feed, Some(Error::NotConnected));
+        }
+    }
+
     /// Stops the fingers at once, even while another thread waits in a motion.
     pub(crate) fn stop(&self, handles_signals: bool, kind: StopKind) -> Result<(), Failed> {
         if self.is_foreign() {
             return Err(Error::NotConnected.into());
         }
         self.stops.fetch_add(1, SeqCst);
-        let is_busy = self.driver.try_lock().is_err();
+        // Kept until the stop, so that no other thread takes the driver first.
+        let held = self.driver.try_lock().ok();
+        let is_busy = held.is_none();
         if is_busy {
             // The driver repeats it if the line does not accept it now.
             let _ = self.send_stop(kind);
@@ -208,7 +294,7 @@ impl Core {
             return Ok(());
         }
         // Returns once the stop is confirmed, whether it was sent by the handle or is sent here.
-        self.with(handles_signals, |driver| match kind {
+        self.with_calls(held, handles_signals, Stage::Query, |driver| match kind {
             StopKind::Stop => each!(driver, gripper => gripper.stop()),
             StopKind::FastStop => each!(driver, gripper => gripper.fast_stop()),
         })
@@ -233,6 +319,7 @@ impl Core {
         if self.is_foreign() || self.is_called_by_this_thread() {
             return;
         }
+        self.end_own_updates();
         self.calls.waiting.fetch_add(1, SeqCst);
         let driver = lock(&self.driver).take();
         self.calls.waiting.fetch_sub(1, SeqCst);
@@ -255,7 +342,7 @@ impl Core {
     }
 
     /// Returns whether another process opened the line.
-    fn is_foreign(&self) -> bool {
+    pub(crate) fn is_foreign(&self) -> bool {
         self.process != process()
     }
 
@@ -275,6 +362,8 @@ impl Drop for Core {
 
 impl Close for Core {
     fn close_at_exit(&self) {
+        // They would keep the driver in use.
+        self.end_own_updates();
         if !self.is_foreign() && self.driver.try_lock().is_err() {
             let _ = self.send_stop(StopKind::Stop);
         }

@@ -21,6 +21,7 @@ use crate::interpreter::detach;
 use crate::line::{Calls, Clock, Line};
 use crate::number::shortest;
 use crate::queue::{Queue, Reply};
+use crate::updates::Updates;
 
 /// Longest reply of a script or of a finger, in bytes.
 const MAX_REPLY: usize = 1_024;
@@ -30,6 +31,7 @@ const MAX_REPLY: usize = 1_024;
 pub(crate) struct Driver {
     core: Arc<Core>,
     is_gcl: bool,
+    is_virtual: bool,
     /// The queues of motions and of all other requests, which pass them.
     motions: Queue,
     queries: Queue,
@@ -46,6 +48,7 @@ pub(crate) fn connect(
 ) -> Result<Driver, Failed> {
     let calls = Arc::new(Calls::default());
     let line = Line::new(wire, Arc::clone(&calls));
+    let is_virtual = matches!(clock, Clock::Virtual(_));
     let driver = if is_gcl {
         let mut gripper = GclGripper::new(line, clock);
         if let Some(limits) = limits {
@@ -56,7 +59,7 @@ pub(crate) fn connect(
         core::Driver::Binary(Box::new(Gripper::new(line, clock)))
     };
     let core = Core::connect(driver, calls)?;
-    Ok(Driver { core, is_gcl, motions: Queue::default(), queries: Queue::default() })
+    Ok(Driver { core, is_gcl, is_virtual, motions: Queue::default(), queries: Queue::default() })
 }
 
 /// A motion that has begun.
@@ -111,7 +114,7 @@ impl Motion {
     }
 }
 
-fn homing(direction: u8) -> Result<HomingDirection, Failure> {
+pub(crate) fn homing(direction: u8) -> Result<HomingDirection, Failure> {
     HomingDirection::from_code(direction).ok_or(Error::Invalid(DecodeError::UndefinedValue))
 }
 
@@ -218,6 +221,18 @@ driver_methods! {
             self.is_gcl
         }
 
+        /// Begins automatic updates at an interval in s, and returns at once.
+        fn subscribe(
+            &self,
+            py: Python<'_>,
+            interval: Option<f64>,
+            width: bool,
+            speed: bool,
+            force: bool,
+        ) -> PyResult<Updates> {
+            Updates::begin(py, &self.core, interval, [width, speed, force], self.is_virtual)
+        }
+
         #[pyo3(signature = (is_fast, reply=None))]
         fn stop(&self, py: Python<'_>, is_fast: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
             let kind = if is_fast { StopKind::FastStop } else { StopKind::Stop };
@@ -228,6 +243,14 @@ driver_methods! {
             let handles_signals = reply.is_none();
             self.make(py, reply, &self.queries, false, move |core| {
                 core.stop(handles_signals, kind).map(|()| NOTHING)
+            })
+        }
+
+        #[pyo3(signature = (reply=None))]
+        fn acknowledge(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+            let handles_signals = reply.is_none();
+            self.make(py, reply, &self.queries, false, move |core| {
+                core.acknowledge(handles_signals).map(|()| NOTHING)
             })
         }
 
@@ -275,7 +298,6 @@ driver_methods! {
             gripper.begin_release(Mm(width), MmPerS(speed)).map(Begun::Other);
     }
     changes {
-        acknowledge() => |gripper| gripper.acknowledge();
         set_acceleration(acceleration: f32) => |gripper| gripper.set_acceleration(acceleration);
         set_force_limit(force: f32) => |gripper| gripper.set_force_limit(N(force));
         set_soft_limits(minus: f32, plus: f32) => |gripper| gripper.set_soft_limits(SoftLimits { minus, plus });
@@ -364,12 +386,12 @@ impl Driver {
         if reply.is_some() {
             return self.make(py, reply, &self.motions, true, |core| {
                 let stops = core.stops();
-                core.begin(false, act)?.wait(core, stops, false)
+                core.begin(false, stops, act)?.wait(core, stops, false)
             });
         }
         let stops = self.core.stops();
         let moved = detach(py, || {
-            let begun = self.core.begin(true, act)?;
+            let begun = self.core.begin(true, stops, act)?;
             let result = if waits { Some(begun.wait(&self.core, stops, true)?) } else { None };
             Ok((begun, result))
         });

@@ -13,6 +13,7 @@ mod protocol;
 mod queue;
 mod sim;
 mod stream;
+mod updates;
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -32,7 +33,9 @@ mod _native {
     #[pymodule_export]
     use super::sim::{Rig, Server};
     #[pymodule_export]
-    use super::stream::Stream;
+    use super::stream::{Samples, Stream};
+    #[pymodule_export]
+    use super::updates::Updates;
 
     use super::*;
     use crate::interpreter::{self, detach};

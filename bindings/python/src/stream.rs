@@ -1,27 +1,29 @@
 //! Set-point streaming: the worker of `driver::stream`, with times of the system clock.
 
-use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc::RecvTimeoutError};
 use std::time::{Duration, Instant, SystemTime};
 use std::{io, mem, thread};
 
+use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
 use wsg_protocol::HomingDirection;
 use wsg_protocol::driver::blocking::Gripper;
 use wsg_protocol::driver::stream::{
-    Backend, Cause, Config, End, Gap, HORIZON_MS, Rejected, Sample, SetPointStream, StartError,
+    Backend, Cause, Config, End, Gap, HORIZON_MS, Outcome, Rejected, Sample, SetPointStream, StartError,
 };
-use wsg_protocol::driver::{self, Error, Mm, MmPerS, N};
+use wsg_protocol::driver::{self, Error, Mm, MmPerS, N, stream};
 use wsg_protocol::limits::{OutOfLimits, Quantity};
 use wsg_protocol::{SystemLimits, session};
 use wsg_tool::Address;
 
 use crate::core::{Close, close_at_exit};
-use crate::driver::{Limits, limits_as_tuple};
+use crate::driver::{Limits, homing, limits_as_tuple};
 use crate::error;
 use crate::interpreter::{detach, process};
 use crate::line::{Calls, Clock, Line};
 use crate::number::shortest;
+use crate::updates::SIGNALS;
 
 type Running = SetPointStream<Line, Clock>;
 /// Number, measured and received time in s, position in mm, speed in mm/s, force in N, flags, set-point in mm.
@@ -183,6 +185,22 @@ impl Stream {
         self.change(py, |stream| stream.set_force_limit(N(force)))
     }
 
+    /// Homes in a direction and waits for the end.
+    fn home(&self, py: Python<'_>, direction: u8) -> PyResult<()> {
+        let direction = homing(direction).map_err(|failure| error::of_driver(py, &failure))?;
+        self.wait(py, |stream| stream.home(direction))
+    }
+
+    fn acknowledge(&self, py: Python<'_>) -> PyResult<()> {
+        self.wait(py, Running::acknowledge)
+    }
+
+    /// Returns a reader of new samples.
+    fn subscribe(&self, py: Python<'_>) -> PyResult<Samples> {
+        let samples = Mutex::new(self.change(py, |stream| Ok(stream.samples()))?);
+        Ok(Samples { samples, inner: Arc::clone(&self.0), is_closed: AtomicBool::new(false) })
+    }
+
     /// Returns the latest sample. Fails after the end of the stream, because the sample is no longer current.
     fn latest(&self, py: Python<'_>) -> PyResult<Row> {
         let latest = match &*self.0.state(py)? {
@@ -257,19 +275,81 @@ impl Stream {
 }
 
 impl Stream {
-    fn change(&self, py: Python<'_>, change: impl FnOnce(&Running) -> Result<(), Rejected>) -> PyResult<()> {
+    fn change<T>(&self, py: Python<'_>, change: impl FnOnce(&Running) -> Result<T, Rejected>) -> PyResult<T> {
         let changed = match &*self.0.state(py)? {
             State::Running(stream) => change(stream),
             State::Ended(End { cause, .. }, ..) => Err(Rejected::Ended(*cause)),
         };
         changed.map_err(|refusal| rejected(py, refusal))
     }
+
+    /// Makes a request and waits for its outcome. If a signal handler raises an exception meanwhile, stops the fingers.
+    fn wait(
+        &self,
+        py: Python<'_>,
+        request: impl FnOnce(&Running) -> Result<Outcome<io::Error>, Rejected>,
+    ) -> PyResult<()> {
+        let mut outcome = self.change(py, request)?;
+        loop {
+            let received;
+            (outcome, received) = detach(py, || {
+                let received = outcome.recv_timeout(SIGNALS);
+                (outcome, received)
+            });
+            match received {
+                Ok(result) => return result.map_err(|failure| error::of_driver(py, &failure)),
+                Err(RecvTimeoutError::Timeout) => {
+                    if let Err(raised) = py.check_signals() {
+                        // The exception of the handler matters more than a failure to stop, which the stream reports.
+                        let _ = self.stop_fingers(py, false);
+                        return Err(raised);
+                    }
+                }
+                // The stream has ended, or ends at this moment.
+                Err(RecvTimeoutError::Disconnected) => {
+                    self.latest(py)?;
+                    return Err(rejected(py, Rejected::Ended(Cause::Requested)));
+                }
+            }
+        }
+    }
+}
+
+/// Waits for new samples.
+#[pyclass(frozen, module = "wsg_gripper._native")]
+pub(crate) struct Samples {
+    samples: Mutex<stream::Samples>,
+    inner: Arc<Inner>,
+    is_closed: AtomicBool,
+}
+
+#[pymethods]
+impl Samples {
+    /// Waits for the next sample. Raises StopIteration after `close`, and the cause after the end of the stream.
+    fn next(&self, py: Python<'_>) -> PyResult<Row> {
+        let lock = || self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+        while !self.is_closed.load(SeqCst) {
+            // Fails in a forked child.
+            drop(self.inner.state(py)?);
+            match detach(py, || lock().next_within(SIGNALS)) {
+                Ok(Some(sample)) => return Ok(row(&sample, self.inner.clock())),
+                Ok(None) => py.check_signals()?,
+                Err(cause) => return Err(rejected(py, Rejected::Ended(cause))),
+            }
+        }
+        Err(PyStopIteration::new_err(()))
+    }
+
+    /// Ends the loop of the reader. The stream continues.
+    fn close(&self) {
+        self.is_closed.store(true, SeqCst);
+    }
 }
 
 fn rejected(py: Python<'_>, rejected: Rejected) -> PyErr {
     let class = match rejected {
         Rejected::Ended(_) => "StreamEndedError",
-        Rejected::Full { .. } => "BusyError",
+        Rejected::Full { .. } | Rejected::Busy => "BusyError",
         Rejected::OutOfLimits(_) | Rejected::BeyondHorizon { .. } => "InvalidError",
     };
     error::exception(py, class, &rejected.to_string(), None)
@@ -298,7 +378,8 @@ fn row(sample: &Sample, clock: Reading) -> Row {
     (number, times[0], times[1], position, speed, force, flags.bits(), set_point.map(shortest))
 }
 
-fn unix_now() -> f64 {
+/// Returns the value of `time.time()`.
+pub(crate) fn unix_now() -> f64 {
     SystemTime::UNIX_EPOCH.elapsed().map_or(0.0, |elapsed| elapsed.as_secs_f64())
 }
 

@@ -20,8 +20,9 @@ def blocks() -> list[str]:
     ("text", "expected"),
     [
         ("if gripper.grip(", r"19\.6 mm 40\.0 N\n"),
-        ("gripper.begin_grip(", r"(\d+\.\d+\n)+GripResult\.HELD 30\.\d+\n"),
-        ("AsyncGripper", r"(\d+\.\d+\n)+GripResult\.HELD\n"),
+        ("motion.done()", r"(\d+\.\d+\n)+GripResult\.HELD 30\.\d+\n"),
+        ("gripper.subscribe(", r"(\d+\.\d+ mm \d+\.\d+ N\n)+"),
+        ("asyncio.run(", r"(\d+\.\d+\n)+GripResult\.HELD\n"),
         ("StreamingGripper", r"(\d+\.\d+\n)+\d+ samples\n"),
         ("WSGController", ""),
         ("FrameDecoder", r"43h Get Opening Width E_SUCCESS 0\.0 mm\n"),

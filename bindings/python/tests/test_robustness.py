@@ -72,6 +72,25 @@ def test_forked_child_leaves_the_connection_to_its_parent(wsg_sim: Simulator) ->
     gripper.close()
 
 
+def test_forked_child_leaves_the_subscription_to_its_parent(wsg_sim: Simulator) -> None:
+    with Gripper(wsg_sim.tcp) as gripper:
+        readings = gripper.subscribe()
+        next(readings)
+
+        def child() -> None:
+            nonlocal readings
+            with pytest.raises(NotConnectedError):
+                next(readings)
+            readings.close()
+            del readings
+            gc.collect()
+
+        assert in_fork(child) == 0
+        first = next(readings)
+        assert next(readings).received > first.received
+    assert not is_in_fast_stop(wsg_sim)
+
+
 def test_forked_child_leaves_the_stream_to_its_parent(wsg_sim: Simulator) -> None:
     with StreamingGripper(wsg_sim.tcp) as gripper:
 
@@ -135,6 +154,19 @@ def test_spawned_process_uses_a_gripper(wsg_sim: Simulator) -> None:
         """,
         "import sys, wsg_gripper as w; keep = w.StreamingGripper(sys.argv[1]); keep.start(); keep.set_target(10)",
         """
+        import sys, threading, wsg_gripper as w
+        keep = w.Gripper(sys.argv[1])
+        keep.home()
+        keep.begin_move(10, 5)
+        def read():
+            try:
+                for _ in keep.subscribe(): began.set()
+            except w.NotConnectedError: pass
+        began = threading.Event()
+        threading.Thread(target=read, daemon=True).start()
+        began.wait()
+        """,
+        """
         import asyncio, sys, wsg_gripper as w
         async def main():
             global keep
@@ -145,7 +177,7 @@ def test_spawned_process_uses_a_gripper(wsg_sim: Simulator) -> None:
         asyncio.run(main())
         """,
     ],
-    ids=["motion", "cycle", "exit", "thread", "threads", "stream", "asyncio"],
+    ids=["motion", "cycle", "exit", "thread", "threads", "stream", "subscription", "asyncio"],
 )
 def test_end_of_the_interpreter_announces_the_end_of_the_connection(wsg_sim: Simulator, script: str) -> None:
     done = run_script(script, wsg_sim.tcp)
@@ -189,16 +221,18 @@ def are_more_than(before: tuple[int, int]) -> bool:
 
 
 def test_thousand_creations_leave_nothing(wsg_sim: Simulator) -> None:
-    def create() -> None:
+    def create(number: int) -> None:
         with Gripper(wsg_sim.tcp) as gripper:
             gripper.width()
+            if number % 10 == 0:
+                next(gripper.subscribe())
 
-    for _ in range(50):
-        create()
+    for number in range(50):
+        create(number)
     before = open_things()
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for _ in range(1000):
-        create()
+    for number in range(1000):
+        create(number)
     gc.collect()
     end = time.monotonic() + 5
     # The simulator closes its end of the last connection on its own.

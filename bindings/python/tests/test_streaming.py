@@ -8,17 +8,21 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy
 import pytest
 
 from wsg_gripper import (
+    AbortedError,
     BusyError,
     Gripper,
+    GripperError,
     HomingDirection,
     InvalidError,
     NotConnectedError,
+    StoppedError,
     StreamEndedError,
     StreamingGripper,
     SystemFlags,
@@ -239,6 +243,58 @@ def test_rate_and_queue_have_limits() -> None:
     for size in (0, 4097):
         with pytest.raises(InvalidError, match="expected 1 to 4096"):
             StreamingGripper("tcp://127.0.0.1", queue_size=size)
+
+
+def test_running_stream_homes_and_is_acknowledged() -> None:
+    # The fingers take a second to home.
+    with Simulator(homing_speed=60) as simulator, StreamingGripper(simulator.tcp, home=None) as gripper:
+        # Not referenced: samples arrive nevertheless.
+        wait_for(lambda: gripper.latest().number > 20)
+        gripper.home(HomingDirection.OPEN)
+        gripper.set_target(20)
+        wait_for(lambda: gripper.latest().position < 90)
+        results: list[BaseException | None] = []
+
+        def home() -> None:
+            try:
+                gripper.home(HomingDirection.OPEN)
+                results.append(None)
+            except GripperError as failure:
+                results.append(failure)
+
+        homing = threading.Thread(target=home)
+        homing.start()
+        wait_for(lambda: gripper.latest().speed > 50 or bool(results))
+        waypoint = partial(gripper.schedule_waypoint, 50, time.time())
+        for request in (gripper.home, gripper.acknowledge, partial(gripper.set_target, 50), waypoint):
+            with pytest.raises(BusyError, match="homing"):
+                request()
+        homing.join()
+        assert results == [None] and simulator.observe().width == 110
+        gripper.set_target(60)
+        wait_for(lambda: gripper.latest().position < 61)
+        # A FAST STOP ends a homing and the stream, until it is acknowledged.
+        homing = threading.Thread(target=home)
+        homing.start()
+        wait_for(lambda: gripper.latest().speed > 50)
+        gripper.fast_stop()
+        homing.join()
+        assert isinstance(results[-1], (StoppedError, StreamEndedError, AbortedError))
+        wait_for(lambda: gripper.ended is not None)
+        for ended in (gripper.home, gripper.latest):
+            with pytest.raises(StreamEndedError, match="FAST STOP"):
+                ended()
+        gripper.acknowledge()
+        assert gripper.ended is None and gripper.latest().set_point is None
+        assert SystemFlags.FAST_STOP not in simulator.observe().flags
+        gripper.home(HomingDirection.OPEN)
+        with Gripper(simulator.udp) as other:
+            gripper.set_target(60)
+            wait_for(lambda: gripper.latest().speed < -5)
+            other.stop()
+            wait_for(lambda: gripper.ended is not None)
+        with pytest.raises(StreamEndedError, match="another client"):
+            gripper.acknowledge()
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 
-from wsg_gripper import AsyncGripper, Gripper, StreamingGripper, StoppedError
+from wsg_gripper import AsyncGripper, Gripper, NotConnectedError, StoppedError, StreamEndedError, StreamingGripper
 from wsg_gripper.umi import WSGController
 
 kind, host, port = sys.argv[1:]
@@ -45,6 +45,13 @@ def asynchronous():
 
     gripper = wait(connect())
 
+    async def observe():
+        async for _ in gripper.subscribe():
+            pass
+
+    # Beside all requests, until the connection is lost.
+    asyncio.run_coroutine_threadsafe(observe(), loop)
+
     async def acknowledge():
         try:
             return await gripper.acknowledge()
@@ -66,13 +73,19 @@ def streamed(make, move, read):
     gripper = make()
 
     def acknowledge():
-        gripper.stop()
-        with Gripper(address) as own:
-            own.acknowledge()
+        try:
+            gripper.acknowledge()
+        except (NotConnectedError, StreamEndedError):
+            gripper.stop()
+            with Gripper(address) as own:
+                own.acknowledge()
 
     def home():
-        gripper.stop()
-        gripper.start()
+        if gripper.is_ready:
+            gripper.home()
+        else:
+            gripper.stop()
+            gripper.start()
 
     def grip(width, speed, force):
         gripper.set_force_limit(force)

@@ -69,6 +69,11 @@ impl StopHandle {
     fn request(&self, kind: StopKind) -> io::Result<()> {
         self.shared.upgrade().ok_or(ErrorKind::NotConnected)?.request(kind)
     }
+
+    /// Returns how many stops the handles have requested, modulo 2³².
+    pub(super) fn count(&self) -> u32 {
+        self.shared.upgrade().map_or(0, |shared| shared.lock().count)
+    }
 }
 
 type Write = dyn Fn(&[u8]) -> io::Result<usize> + Send + Sync;
@@ -120,6 +125,8 @@ struct State {
     /// Whether the driver has partially sent a message.
     is_mid_message: bool,
     request: Option<StopRequest>,
+    /// Number of requests so far.
+    count: u32,
     /// The task of the async driver that waits for a request.
     task: Option<Waker>,
 }
@@ -132,7 +139,11 @@ impl Shared {
             let len = P::stop_message(kind, &mut message);
             (message, len)
         });
-        Self { line, messages, state: Mutex::new(State { is_mid_message, request: None, task: None }) }
+        Self {
+            line,
+            messages,
+            state: Mutex::new(State { is_mid_message, request: None, count: 0, task: None }),
+        }
     }
 
     pub(super) fn handle(self: &Arc<Self>) -> StopHandle {
@@ -146,6 +157,7 @@ impl Shared {
 
     fn request(&self, kind: StopKind) -> io::Result<()> {
         let mut state = self.lock();
+        state.count = state.count.wrapping_add(1);
         let sent = if state.is_mid_message {
             Err(ErrorKind::WouldBlock.into())
         } else {

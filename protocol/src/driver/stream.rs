@@ -26,7 +26,8 @@
 //!
 //! **End.** The worker ends after a FAST STOP, a Stop by another client, a script error, a lost connection or the end
 //! of the `SetPointStream`. It sends Stop if the line permits it, and [`ended`](SetPointStream::ended) returns the
-//! [`Cause`]. Nothing resumes automatically.
+//! [`Cause`]. Nothing resumes automatically. After a FAST STOP, [`acknowledge`](SetPointStream::acknowledge) begins the stream
+//! again, without set-points.
 //!
 //! ```no_run
 //! use wsg_protocol::HomingDirection;
@@ -62,12 +63,14 @@ use super::blocking::{Gripper, Transport};
 use super::{Clock, Error, Mm, MmPerS, N, StopHandle, StopKind, Stoppable};
 use crate::limits::{OutOfLimits, Quantity};
 use crate::time::Instant;
-use crate::types::{Status, SystemFlags, SystemLimits};
+use crate::types::{HomingDirection, Status, SystemFlags, SystemLimits};
+use embedded_io::ErrorType;
 use line::Exchanges;
 use script::{Measured, Order};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 use std::vec::Vec;
 use std::{io, panic};
 use trajectory::{Ahead, Trajectory};
@@ -220,6 +223,13 @@ impl core::fmt::Display for Cause {
 
 impl core::error::Error for Cause {}
 
+impl Cause {
+    /// Returns whether the gripper is in FAST STOP.
+    const fn is_fast_stop(self) -> bool {
+        matches!(self, Self::FastStop | Self::Stopped(StopKind::FastStop))
+    }
+}
+
 /// The end of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct End {
@@ -245,6 +255,8 @@ pub enum Rejected {
         /// The length of the queue.
         queue_len: usize,
     },
+    /// An earlier [`home`](SetPointStream::home) or [`acknowledge`](SetPointStream::acknowledge) has not ended.
+    Busy,
     /// The stream has ended.
     Ended(Cause),
 }
@@ -262,6 +274,7 @@ impl core::fmt::Display for Rejected {
             Self::Full { queue_len } => {
                 write!(f, "the queue is full: {queue_len} earlier set-points are waiting")
             }
+            Self::Busy => f.write_str("a homing or an acknowledgement has not ended"),
             Self::Ended(cause) => write!(f, "the stream has ended: {cause}"),
         }
     }
@@ -307,23 +320,37 @@ impl<E> From<io::Error> for StartError<E> {
     }
 }
 
+/// Receives the result of a request to a stream. It is disconnected if the stream ends first.
+pub type Outcome<E> = mpsc::Receiver<Result<(), Error<E>>>;
+
+/// A request to the worker. There is at most one at a time.
+#[derive(Debug)]
+struct Request<E> {
+    /// The direction of a homing, or `None` to acknowledge.
+    home: Option<HomingDirection>,
+    /// Number of stops before the request. It has no effect after a later one.
+    stops: u32,
+    result: mpsc::Sender<Result<(), Error<E>>>,
+}
+
 /// A gripper that follows set-points; see the [module](self).
 ///
 /// Its methods lock a mutex that the worker holds for microseconds, never while it waits for the line. Dropping it
 /// stops the fingers and waits for the worker to end.
 #[derive(Debug)]
-pub struct SetPointStream<IO, C> {
+pub struct SetPointStream<IO: ErrorType, C> {
     shared: Arc<Mutex<Shared>>,
     clock: C,
     backend: Backend,
     handle: StopHandle,
+    requests: mpsc::Sender<Request<IO::Error>>,
     /// `None` only during drop.
     worker: Option<JoinHandle<Gripper<IO, C>>>,
 }
 
 impl<IO, C> SetPointStream<IO, C>
 where
-    IO: Transport + Stoppable + Send + 'static,
+    IO: Transport<Error: Send> + Stoppable + Send + 'static,
     C: Clock + Clone + Send + 'static,
 {
     /// Detects the back-end, measures once, and starts the worker. Waits for about ten replies.
@@ -342,15 +369,16 @@ where
         }
         let handle = gripper.stop_handle()?;
         let clock = gripper.clock().clone();
-        let worker = Worker::new(gripper, config)?;
+        let (requests, received) = mpsc::channel();
+        let worker = Worker::new(gripper, config, received, handle.clone())?;
         let (shared, backend) = (Arc::clone(worker.shared()), worker.backend());
         let thread = thread::Builder::new().name("wsg set-points".into());
         let worker = thread.spawn(move || worker.run())?;
-        Ok(Self { shared, clock, backend, handle, worker: Some(worker) })
+        Ok(Self { shared, clock, backend, handle, requests, worker: Some(worker) })
     }
 }
 
-impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
+impl<IO: ErrorType, C: Clock + Clone> SetPointStream<IO, C> {
     /// Returns the driver's time, for [`schedule`](Self::schedule).
     #[must_use]
     pub fn now(&self) -> Instant {
@@ -393,6 +421,9 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
     ) -> Result<(), Rejected> {
         let mut shared = self.open()?;
         shared.check(Quantity::Width, position.0)?;
+        if shared.is_busy {
+            return Err(Rejected::Busy);
+        }
         let Shared { speed_limit, latest, queue_len, .. } = *shared;
         let here = shared.within_stroke(latest.position);
         let begin = || Trajectory::at(here, self.clock.clone().now(), queue_len);
@@ -424,6 +455,48 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         Ok(())
     }
 
+    /// References the fingers at an end stop (command set, 3.2.1). All set-points are dropped, the fingers stop and then move to
+    /// the end stop. Afterwards they stay there until the next set-point. The result is the one of
+    /// [`home`](super::blocking::GripperOver::home), and an error leaves the stream without set-points.
+    ///
+    /// # Errors
+    /// Returns [`Rejected`], and nothing changes: an earlier request has not ended, or the stream has ended.
+    pub fn home(&self, direction: HomingDirection) -> Result<Outcome<IO::Error>, Rejected> {
+        self.request(self.open()?, Some(direction))
+    }
+
+    /// Acknowledges a FAST STOP or a fault (command set, 3.2.5). Make sure that the fingers may move.
+    ///
+    /// All set-points are dropped and the fingers stop, so that nothing moves before the next one. A stream that a FAST STOP
+    /// has ended begins again.
+    ///
+    /// # Errors
+    /// Returns [`Rejected`], and nothing changes: an earlier request has not ended, or the stream has ended for another
+    /// reason.
+    pub fn acknowledge(&self) -> Result<Outcome<IO::Error>, Rejected> {
+        let shared = lock(&self.shared);
+        match shared.cause {
+            Some(cause) if !cause.is_fast_stop() => Err(Rejected::Ended(cause)),
+            _ => self.request(shared, None),
+        }
+    }
+
+    /// Passes a request to the worker under the lock, under which the worker rejects requests at the end of the stream.
+    fn request(
+        &self,
+        mut shared: MutexGuard<'_, Shared>,
+        home: Option<HomingDirection>,
+    ) -> Result<Outcome<IO::Error>, Rejected> {
+        if shared.is_busy {
+            return Err(Rejected::Busy);
+        }
+        (shared.is_busy, shared.trajectory) = (true, None);
+        let (result, outcome) = mpsc::channel();
+        // Without a worker, the outcome is disconnected.
+        let _ = self.requests.send(Request { home, stops: self.handle.count(), result });
+        Ok(outcome)
+    }
+
     /// Locks the shared state, unless the stream has ended.
     fn open(&self) -> Result<MutexGuard<'_, Shared>, Rejected> {
         let shared = lock(&self.shared);
@@ -434,7 +507,7 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
     }
 }
 
-impl<IO, C> SetPointStream<IO, C> {
+impl<IO: ErrorType, C> SetPointStream<IO, C> {
     /// Returns the detected back-end.
     #[must_use]
     pub const fn backend(&self) -> Backend {
@@ -454,6 +527,12 @@ impl<IO, C> SetPointStream<IO, C> {
     #[must_use]
     pub fn history(&self) -> Vec<Sample> {
         lock(&self.shared).history.iter().copied().collect()
+    }
+
+    /// Returns a reader of the samples after this moment.
+    #[must_use]
+    pub fn samples(&self) -> Samples {
+        Samples { shared: Arc::clone(&self.shared), last: lock(&self.shared).latest.number }
     }
 
     /// Returns the last [`GAPS_LEN`] gaps, oldest first, also after the end of the stream.
@@ -496,8 +575,8 @@ impl<IO, C> SetPointStream<IO, C> {
     fn join(&mut self) -> Option<thread::Result<(Gripper<IO, C>, End)>> {
         let worker = self.worker.take()?;
         let mut shared = lock(&self.shared);
+        shared.is_end_requested = true;
         if shared.cause.is_none() {
-            shared.is_end_requested = true;
             // Also wakes the worker, which ends by its flag if the line accepts no Stop.
             let _ = self.handle.stop();
         }
@@ -508,9 +587,37 @@ impl<IO, C> SetPointStream<IO, C> {
     }
 }
 
-impl<IO, C> Drop for SetPointStream<IO, C> {
+impl<IO: ErrorType, C> Drop for SetPointStream<IO, C> {
     fn drop(&mut self) {
         let _ = self.join();
+    }
+}
+
+/// Waits for new samples of a stream, from any thread.
+#[derive(Clone, Debug)]
+pub struct Samples {
+    shared: Arc<Mutex<Shared>>,
+    /// Number of the last returned sample.
+    last: u32,
+}
+
+impl Samples {
+    /// Waits for a sample after the last returned one for at most `within`, and returns the latest, or `None` if none arrives.
+    ///
+    /// # Errors
+    /// Returns the reason for the end of the stream, from then on.
+    pub fn next_within(&mut self, within: Duration) -> Result<Option<Sample>, Cause> {
+        let shared = lock(&self.shared);
+        let recorded = Arc::clone(&shared.recorded);
+        let is_idle = |shared: &mut Shared| shared.latest.number == self.last && shared.cause.is_none();
+        let waited = recorded.wait_timeout_while(shared, within, is_idle);
+        let (shared, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        if let Some(cause) = shared.cause {
+            return Err(cause);
+        }
+        let is_new = shared.latest.number != self.last;
+        self.last = shared.latest.number;
+        Ok(is_new.then_some(shared.latest))
     }
 }
 
@@ -525,9 +632,13 @@ struct Shared {
     queue_len: usize,
     latest: Sample,
     history: VecDeque<Sample>,
+    /// Notified of each sample and of the end.
+    recorded: Arc<Condvar>,
     gaps: VecDeque<Gap>,
     exchanges: Exchanges,
     is_end_requested: bool,
+    /// Whether a [`Request`] has not ended. Set-points are rejected meanwhile.
+    is_busy: bool,
     /// The reason why the worker ends. From then on, a stop has no effect on it.
     cause: Option<Cause>,
     end: Option<End>,
@@ -571,6 +682,7 @@ impl Shared {
             self.history.pop_back();
         }
         keep(&mut self.history, self.latest, HISTORY_LEN);
+        self.recorded.notify_all();
     }
 }
 
@@ -610,6 +722,7 @@ mod tests {
             let rejected = Rejected::Ended(cause).to_string();
             assert!(rejected.contains("the stream has ended") && rejected.contains(text), "{rejected}");
         }
+        assert!(Rejected::Busy.to_string().contains("homing"));
         assert!(Rejected::Full { queue_len: 17 }.to_string().contains("17 earlier"));
         for (ahead_ms, text) in [(4_000_000, "4000 s ahead"), (i32::MIN, "2147483 s in the past")] {
             let rejected = Rejected::BeyondHorizon { ahead_ms }.to_string();

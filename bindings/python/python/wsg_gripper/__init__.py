@@ -37,19 +37,22 @@ from ._types import (
     GripResult,
     HomingDirection,
     Limits,
+    Reading,
     SoftLimits,
     Statistics,
     Status,
     SystemFlags,
     SystemInfo,
 )
+from ._updates import Subscription
 
 if _TYPE_CHECKING:
-    from ._async import AsyncGripper
+    from ._async import AsyncGripper, AsyncSubscription
 
 __all__ = [
     "AbortedError",
     "AsyncGripper",
+    "AsyncSubscription",
     "BlockedError",
     "BusyError",
     "FingerFlags",
@@ -66,6 +69,7 @@ __all__ = [
     "Motion",
     "MotionError",
     "NotConnectedError",
+    "Reading",
     "RefusedError",
     "Sample",
     "SoftLimits",
@@ -74,6 +78,7 @@ __all__ = [
     "StoppedError",
     "StreamEndedError",
     "StreamingGripper",
+    "Subscription",
     "SystemFlags",
     "SystemInfo",
     "UnansweredError",
@@ -86,9 +91,9 @@ if hasattr(_os, "register_at_fork"):  # not on Windows
 
 
 def __getattr__(name: str) -> object:
-    """Import ``AsyncGripper`` at its first use, because the import of asyncio takes 50 ms."""
-    if name == "AsyncGripper":
-        from ._async import AsyncGripper
+    """Import the names for asyncio at their first use, because the import of asyncio takes 50 ms."""
+    if name in ("AsyncGripper", "AsyncSubscription"):
+        from . import _async
 
-        return AsyncGripper
+        return getattr(_async, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Callable, Optional, TypeVar, cast
 
 from ._gripper import Gripper
 from ._native import Driver, Ticket
+from ._types import Reading
+from ._updates import Subscription, reading
 
 if TYPE_CHECKING:
     from typing_extensions import Concatenate, ParamSpec
@@ -73,6 +75,37 @@ def _asynchronous(
     return call
 
 
+class AsyncSubscription:
+    """Like :class:`Subscription`, with ``async with`` and ``async for``."""
+
+    def __init__(self, subscription: Subscription[Reading]) -> None:
+        self._subscription = subscription
+
+    async def __aenter__(self) -> AsyncSubscription:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: Optional[type[BaseException]],
+        error: Optional[BaseException],
+        traceback: Optional[TracebackType],
+    ) -> None:
+        await self.close()
+
+    def __aiter__(self) -> AsyncSubscription:
+        return self
+
+    async def __anext__(self) -> Reading:
+        reading = await asyncio.get_running_loop().run_in_executor(None, next, self._subscription, None)
+        if reading is None:
+            raise StopAsyncIteration
+        return reading
+
+    async def close(self) -> None:
+        """Like ``Subscription.close``."""
+        await asyncio.get_running_loop().run_in_executor(None, self._subscription.close)
+
+
 class AsyncGripper:
     """A connection to a gripper for asyncio, with the methods of ``Gripper``.
 
@@ -127,9 +160,12 @@ class AsyncGripper:
 
     @property
     def _core(self) -> _Requests:
+        return _Requests(self._connected())
+
+    def _connected(self) -> Driver:
         if self._driver is None:
             raise RuntimeError("not connected: use `async with AsyncGripper(address)` or `await AsyncGripper(address)`")
-        return _Requests(self._driver)
+        return self._driver
 
     @staticmethod
     async def _then(value: Awaitable[T], convert: Callable[[T], U]) -> U:
@@ -171,6 +207,17 @@ class AsyncGripper:
     speed = _asynchronous(Gripper.speed)
     force = _asynchronous(Gripper.force)
     temperature = _asynchronous(Gripper.temperature)
+
+    def subscribe(
+        self,
+        interval: Optional[float] = None,
+        *,
+        width: bool = True,
+        speed: bool = True,
+        force: bool = True,
+    ) -> AsyncSubscription:
+        """Like ``Gripper.subscribe``, with ``async with`` and ``async for``."""
+        return AsyncSubscription(Subscription(self._connected().subscribe(interval, width, speed, force), reading))
 
     # Device
 

@@ -15,11 +15,13 @@ from ._types import (
     GripResult,
     HomingDirection,
     Limits,
+    Reading,
     SoftLimits,
     Statistics,
     SystemFlags,
     SystemInfo,
 )
+from ._updates import Subscription, reading
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -325,6 +327,31 @@ class Gripper:
     def temperature(self) -> float:
         """Return the temperature of the device in °C (command set, 3.4.7)."""
         return self._core.temperature()
+
+    def subscribe(
+        self,
+        interval: Optional[float] = None,
+        *,
+        width: bool = True,
+        speed: bool = True,
+        force: bool = True,
+    ) -> Subscription[Reading]:
+        """Make the gripper send its state on its own, and iterate over it: the fastest way to observe a motion.
+
+        ::
+
+            with gripper.subscribe() as readings:
+                for reading in readings:
+                    print(reading.width, reading.force, reading.state)
+
+        A real gripper sends about 140 values a second, so the shortest ``interval``, which is the default, is 24 ms for all
+        three values, 16 ms for two and 10 ms for one. The longest is 1 s. A slow loop gets the newest reading. Other requests are
+        possible meanwhile, from another thread or in the loop. A connection has one subscription at a time (``BusyError``).
+
+        The loop raises ``NotConnectedError`` when the connection is lost, and ``UnansweredError`` if no reading arrives for 1 s
+        and ``interval``.
+        """
+        return Subscription(self._core.subscribe(interval, width, speed, force), reading)
 
     # Device (command set, 3.5)
 

@@ -10,6 +10,7 @@ from typing import NamedTuple, Optional, TypeVar
 from ._errors import InvalidError, NotConnectedError
 from ._native import Stream, stream_script
 from ._types import HomingDirection, Limits, SystemFlags
+from ._updates import Subscription
 
 Self = TypeVar("Self", bound="StreamingGripper")
 
@@ -39,6 +40,11 @@ class Sample(NamedTuple):
         return time.time() - self.measured
 
 
+def _sample(row: tuple[int, float, float, float, float, float, int, Optional[float]]) -> Sample:
+    number, measured, received, position, speed, force, flags, set_point = row
+    return Sample(number, measured, received, position, speed, force, SystemFlags(flags), set_point)
+
+
 class Gap(NamedTuple):
     """A time without answers from the gripper, during which the fingers held or finished a segment of 100 ms."""
 
@@ -59,7 +65,7 @@ class StreamingGripper:
             sample = gripper.latest()
 
     A thread of its own sends the set-points and receives the state, independently of the interpreter lock. No method but
-    ``start`` and ``stop`` waits for the gripper.
+    ``start``, ``stop``, ``home`` and ``acknowledge`` waits for the gripper.
 
     With the script :attr:`SCRIPT` or UMI's script on the gripper, a set-point replaces the one before during the motion,
     and the fingers push against a part with the force limit. Without a script, the fingers stop between segments of
@@ -68,7 +74,7 @@ class StreamingGripper:
     Without new set-points the fingers move to the last one and stay there. If an answer is more than 100 ms late, the
     fingers hold, or finish the segment, and continue when the gripper answers within 1 s: see :meth:`gaps`. A longer gap, a
     FAST STOP, a Stop by another client, a script error or a lost connection ends the stream, and nothing resumes by itself:
-    see :attr:`ended`.
+    see :attr:`ended` and :meth:`acknowledge`.
     """
 
     SCRIPT: str = stream_script()
@@ -203,6 +209,24 @@ class StreamingGripper:
         """
         self._running().set_force_limit(force)
 
+    # Homing and FAST STOP
+
+    def home(self, direction: HomingDirection = HomingDirection.DEFAULT) -> None:
+        """Reference the fingers at an end stop while the stream runs, and wait for the end.
+
+        All set-points are dropped, and the fingers stop first. Meanwhile set-points raise ``BusyError``. Nothing moves
+        afterwards before the next one. Raises like ``Gripper.home``, and ``StreamEndedError``.
+        """
+        self._running().home(direction)
+
+    def acknowledge(self) -> None:
+        """Acknowledge a FAST STOP or a fault, which unlocks the fingers. Make sure that they may move.
+
+        All set-points are dropped and the fingers stop, so nothing moves before the next set-point. A stream that a FAST STOP has
+        ended begins again. After any other end it raises ``StreamEndedError``.
+        """
+        self._running().acknowledge()
+
     # State
 
     def latest(self) -> Sample:
@@ -210,8 +234,18 @@ class StreamingGripper:
 
         Raises ``StreamEndedError`` after the end of the stream, when the sample is no longer current.
         """
-        number, measured, received, position, speed, force, flags, set_point = self._running().latest()
-        return Sample(number, measured, received, position, speed, force, SystemFlags(flags), set_point)
+        return _sample(self._running().latest())
+
+    def subscribe(self) -> Subscription[Sample]:
+        """Iterate over new samples, without polling::
+
+            for sample in gripper.subscribe():
+                print(sample.position, sample.force)
+
+        A slow loop gets the latest sample, and :meth:`history` keeps the others. Several loops may run at a time. A loop raises
+        ``StreamEndedError`` after the end of the stream.
+        """
+        return Subscription(self._running().subscribe(), _sample)
 
     def history(self) -> memoryview[float]:
         """Return the last 1024 samples, oldest first: rows of doubles with the columns of :class:`Sample`.

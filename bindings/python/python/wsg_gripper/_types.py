@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from enum import Enum, IntEnum, IntFlag
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 
 class Status(IntEnum):
@@ -149,6 +150,28 @@ class SoftLimits(NamedTuple):
     """Minimum opening width in mm."""
     plus: float
     """Maximum opening width in mm."""
+
+
+class Reading(NamedTuple):
+    """One new value of each subscribed quantity, as ``subscribe`` yields it. No value is repeated from reading to reading."""
+
+    received: float
+    """Time at which the values arrived, as a value of ``time.time()`` in s."""
+    width: Optional[float]
+    """Opening width in mm; ``None`` without a subscription to it, and before homing."""
+    speed: Optional[float]
+    """Finger speed in mm/s, negative while the fingers close; ``None`` without a subscription to it."""
+    force: Optional[float]
+    """Gripping force in N, summed over both fingers; ``None`` without a subscription to it."""
+    state: GripperState
+    """Latest state of the gripping process."""
+    flags: SystemFlags
+    """Latest system state flags."""
+
+    @property
+    def age(self) -> float:
+        """Time since the values arrived in s, now."""
+        return time.time() - self.received
 
 
 class SystemInfo(NamedTuple):

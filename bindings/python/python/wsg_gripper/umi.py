@@ -70,7 +70,8 @@ class WSGController(StreamingGripper):
     def get_state(self, k: Optional[int] = None, out: Optional[State] = None) -> State:
         """Return the latest state, or arrays of the last ``k`` states.
 
-        Raises ``StreamEndedError`` after the end of the stream, for example when the connection is lost.
+        Raises ``StreamEndedError`` after the end of the stream, for example when the connection is lost. To wait for each new
+        sample instead, use :meth:`subscribe`.
         """
         state = self.get_all_state()
         last = {key: values[-1] if k is None else values[-k:] for key, values in state.items()}

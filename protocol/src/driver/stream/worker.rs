@@ -7,20 +7,23 @@ use super::script::{
     stream_order, umi_answer, umi_order,
 };
 use super::{
-    Backend, Cause, Config, End, GAPS_LEN, Gap, HISTORY_LEN, MAX_GAP_MS, Sample, Shared, keep, lock,
+    Backend, Cause, Config, End, GAPS_LEN, Gap, HISTORY_LEN, MAX_GAP_MS, Request, Sample, Shared, keep, lock,
 };
 use crate::command::Command;
 use crate::driver::blocking::{Gripper, Transport};
 use crate::driver::engine::{Awaited, Copied, Goal};
 use crate::driver::link::Link;
-use crate::driver::{Clock, Error, Mm, MmPerS, N, OnBlock, Pending, StopKind, Update};
+use crate::driver::{
+    Clock, Error, Mm, MmPerS, N, OnBlock, Pending, StopHandle, StopKind, UPDATES_LEN, Update,
+};
 use crate::frame::Frame;
 use crate::reply::Reply;
 use crate::session::{MISMATCH, Topic};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status, SystemFlags};
+use embedded_io::ErrorType;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, mpsc};
 
 /// How late an answer or a period may be, in ms, before it counts as a gap.
 const GAP_MS: u32 = 100;
@@ -34,9 +37,15 @@ const UPDATE_PERIOD_MS: u16 = 25;
 /// The subscriptions of [`Backend::PrePosition`].
 const TOPICS: [Topic; 3] = [Topic::Width, Topic::Speed, Topic::Force];
 
+/// How long the worker of a stream that a FAST STOP has ended waits for bytes before it looks for requests, in ms.
+const PARKED_MS: u32 = 20;
+
+/// A homing that has begun, and where its result goes.
+type Homing<E> = (Pending<()>, mpsc::Sender<Result<(), Error<E>>>);
+
 /// The gripper, following the trajectory.
 #[derive(Debug)]
-pub(super) struct Worker<IO, C> {
+pub(super) struct Worker<IO: ErrorType, C> {
     gripper: Gripper<IO, C>,
     clock: C,
     shared: Arc<Mutex<Shared>>,
@@ -47,6 +56,9 @@ pub(super) struct Worker<IO, C> {
     /// The last ordered position in mm.
     set_point: Option<f32>,
     segment: Segment,
+    requests: mpsc::Receiver<Request<IO::Error>>,
+    handle: StopHandle,
+    homing: Option<Homing<IO::Error>>,
 }
 
 /// The state of the Pre-position back-end.
@@ -65,7 +77,12 @@ struct Segment {
 
 impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Detects the back-end and measures once.
-    pub(super) fn new(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, Error<IO::Error>> {
+    pub(super) fn new(
+        mut gripper: Gripper<IO, C>,
+        config: Config,
+        requests: mpsc::Receiver<Request<IO::Error>>,
+        handle: StopHandle,
+    ) -> Result<Self, Error<IO::Error>> {
         let mut clock = gripper.clock().clone();
         gripper.engine.link_mut().tolerate_late_answers(true);
         let limits = gripper.limits()?;
@@ -112,9 +129,11 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             queue_len: config.queue_len,
             latest,
             history,
+            recorded: Arc::default(),
             gaps: VecDeque::new(),
             exchanges,
             is_end_requested: false,
+            is_busy: false,
             cause: None,
             end: None,
         }));
@@ -127,6 +146,9 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             due: received_at,
             set_point: None,
             segment: Segment { pending: None, end: position, way: 0.0, blocked: 0.0, force_limit },
+            requests,
+            handle,
+            homing: None,
         })
     }
 
@@ -140,24 +162,182 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
 
     /// Follows the trajectory until the stream ends, and returns the gripper.
     pub(super) fn run(mut self) -> Gripper<IO, C> {
-        self.due = self.clock.now();
-        let mut pace = Pace::new(self.rate_hz, self.due);
-        let cause = loop {
-            let followed = self.turn().and_then(|()| {
-                let due = pace.next(self.clock.now());
-                self.rest(due)
-            });
-            if let Err(cause) = followed {
-                break cause;
+        loop {
+            self.due = self.clock.now();
+            let mut pace = Pace::new(self.rate_hz, self.due);
+            let cause = loop {
+                let followed = self.turn().and_then(|()| {
+                    let due = pace.next(self.clock.now());
+                    self.rest(due)
+                });
+                if let Err(cause) = followed {
+                    break cause;
+                }
+            };
+            if !self.finish(cause).is_fast_stop() {
+                return self.gripper;
             }
+            loop {
+                match self.wait_for_acknowledge() {
+                    None => {}
+                    Some(true) => break,
+                    Some(false) => return self.gripper,
+                }
+            }
+        }
+    }
+
+    /// After a FAST STOP, keeps the connection alive for a moment and serves a request to acknowledge. Returns whether the
+    /// stream begins again, or `None` while that is open.
+    fn wait_for_acknowledge(&mut self) -> Option<bool> {
+        if lock(&self.shared).is_end_requested {
+            return Some(false);
+        }
+        let lost = match self.gripper.next_update(PARKED_MS) {
+            Ok(_) | Err(Error::Stopped(_)) if self.gripper.is_connected() => None,
+            Ok(_) | Err(Error::Stopped(_)) => Some(Cause::Unanswered),
+            Err(error) => Some(cause_of(error)),
         };
-        self.finish(cause)
+        if let Some(cause) = lost {
+            let mut shared = lock(&self.shared);
+            self.reject_requests(&mut shared);
+            shared.cause = Some(cause);
+            shared.end = shared.end.map(|end| End { cause, ..end });
+            return Some(false);
+        }
+        let Ok(Request { stops, result, .. }) = self.requests.try_recv() else { return None };
+        let begun = if self.handle.count() == stops {
+            self.end_script().and_then(|()| self.gripper.acknowledge()).and_then(|()| self.begin_again())
+        } else {
+            Err(Error::Stopped(StopKind::FastStop))
+        };
+        let mut shared = lock(&self.shared);
+        shared.is_busy = false;
+        if begun.is_ok() {
+            (shared.cause, shared.end) = (None, None);
+        }
+        drop(shared);
+        let is_begun = begun.is_ok();
+        // The caller may have gone.
+        let _ = result.send(begun);
+        is_begun.then_some(true)
+    }
+
+    /// Begins again without set-points, with a new sample.
+    fn begin_again(&mut self) -> Result<(), Error<IO::Error>> {
+        // Updates from before are no samples.
+        for _ in 0..UPDATES_LEN {
+            self.gripper.next_update(0)?;
+        }
+        if self.backend == Backend::PrePosition {
+            for topic in TOPICS {
+                self.gripper.subscribe(topic, AutoUpdate::every(UPDATE_PERIOD_MS));
+            }
+        }
+        self.settle()?;
+        self.gripper.engine.link_mut().tolerate_late_answers(true);
+        Ok(())
+    }
+
+    /// Rejects the request that the worker has not seen.
+    fn reject_requests(&self, shared: &mut Shared) {
+        shared.is_busy = false;
+        while self.requests.try_recv().is_ok() {}
+    }
+
+    /// Drops all set-points. The next one begins where the fingers are.
+    fn settle(&mut self) -> Result<(), Error<IO::Error>> {
+        (lock(&self.shared).trajectory, self.set_point) = (None, None);
+        self.measure()?;
+        if self.segment.pending.is_none() {
+            (self.segment.end, self.segment.blocked) = (lock(&self.shared).latest.position, 0.0);
+        }
+        Ok(())
+    }
+
+    /// Serves the next request of the caller.
+    fn serve(&mut self) -> Result<(), Cause> {
+        if let Ok(Request { home, result, .. }) = self.requests.try_recv() {
+            let begun = self.halt().and_then(|()| match home {
+                Some(direction) => self.gripper.begin_home(direction).map(Some),
+                None => self.gripper.acknowledge().map(|()| None),
+            });
+            match begun {
+                Ok(Some(pending)) => self.homing = Some((pending, result)),
+                Ok(None) => self.answer(&result, Ok(()))?,
+                Err(error) => self.answer(&result, Err(error))?,
+            }
+        }
+        let Some((pending, result)) = self.homing.take() else { return Ok(()) };
+        match self.gripper.poll(&pending) {
+            Ok(None) => self.homing = Some((pending, result)),
+            Ok(Some(())) => self.answer(&result, Ok(()))?,
+            Err(error) => self.answer(&result, Err(error))?,
+        }
+        Ok(())
+    }
+
+    /// Stops the fingers, so that no earlier set-point moves them any more.
+    fn halt(&mut self) -> Result<(), Error<IO::Error>> {
+        self.gripper.stop()?;
+        if let Some(pending) = self.segment.pending.take()
+            // Fetches the result; otherwise the next motion would be rejected.
+            && let Err(Error::Stopped(kind)) = self.gripper.wait(&pending)
+        {
+            return Err(Error::Stopped(kind));
+        }
+        self.end_script()
+    }
+
+    /// Makes the project's script forget the last set-point and a Stop. Otherwise it could affect the following motions, or refuse
+    /// the next set-point.
+    fn end_script(&mut self) -> Result<(), Error<IO::Error>> {
+        if self.backend == Backend::Script {
+            exchange(&mut self.gripper, self.backend, None)?;
+        }
+        Ok(())
+    }
+
+    /// Passes the outcome of a request to the caller, which may have gone. Fails if the fingers were stopped, which ends the
+    /// stream.
+    fn answer(
+        &mut self,
+        result: &mpsc::Sender<Result<(), Error<IO::Error>>>,
+        outcome: Result<(), Error<IO::Error>>,
+    ) -> Result<(), Cause> {
+        let stopped = match outcome {
+            Err(Error::Stopped(kind)) => Err(Cause::Stopped(kind)),
+            Err(Error::Aborted) => Err(Cause::StoppedByOther),
+            _ => self.settle().map_err(cause_of),
+        };
+        if stopped.is_ok() {
+            lock(&self.shared).is_busy = false;
+        }
+        let _ = result.send(outcome);
+        stopped
+    }
+
+    /// Records the state by queries, which every gripper answers at any time.
+    fn measure(&mut self) -> Result<(), Error<IO::Error>> {
+        let flags = self.gripper.system_state()?;
+        let (speed, force) = (self.gripper.speed()?.0, self.gripper.force()?.0);
+        let position = self.gripper.width()?.0;
+        let measured = Measured { flags, position, speed, force, measured_ms: None };
+        lock(&self.shared).record(self.clock.now(), &measured, self.set_point);
+        Ok(())
     }
 
     /// Sends the orders that are due.
     fn turn(&mut self) -> Result<(), Cause> {
         let now = self.clock.now();
         self.check_pause(now)?;
+        self.serve()?;
+        let is_referenced =
+            self.gripper.known().flags.is_some_and(|flags| flags.contains(SystemFlags::REFERENCED));
+        if self.homing.is_some() || (self.backend == Backend::PrePosition && !is_referenced) {
+            // A script is not called during a motion of the driver, and no gripper sends updates of the width before homing.
+            self.measure().map_err(cause_of)?;
+        }
         let order = {
             let mut shared = lock(&self.shared);
             if shared.is_end_requested {
@@ -167,6 +347,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         };
         self.set_point = order.map(|order| order.position);
         match self.backend {
+            _ if self.homing.is_some() => {}
             Backend::PrePosition => self.pre_position(now, order)?,
             Backend::Script | Backend::UmiScript => {
                 let latest = lock(&self.shared).latest;
@@ -312,8 +493,8 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         Ok(())
     }
 
-    /// Stops the fingers and reports the cause.
-    fn finish(mut self, mut cause: Cause) -> Gripper<IO, C> {
+    /// Stops the fingers, reports the cause and returns it.
+    fn finish(&mut self, mut cause: Cause) -> Cause {
         self.gripper.engine.link_mut().tolerate_late_answers(false);
         {
             let mut shared = lock(&self.shared);
@@ -321,16 +502,19 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
                 cause = Cause::Requested;
             }
             shared.cause = Some(cause);
+            self.reject_requests(&mut shared);
+            shared.recorded.notify_all();
         }
+        let segment = self.segment.pending.take();
+        let motion = self.homing.take().map(|(pending, _)| pending).or(segment);
         let is_stop_confirmed = self.gripper.stop().is_ok();
-        if is_stop_confirmed && let Some(pending) = &self.segment.pending {
+        if is_stop_confirmed && let Some(pending) = &motion {
             // Fetches the result; otherwise the next motion would be rejected.
             let _ = self.gripper.wait(pending);
         }
         match self.backend {
             Backend::Script if is_stop_confirmed => {
-                // Otherwise the script could affect the following motions.
-                let _ = exchange(&mut self.gripper, self.backend, None);
+                let _ = self.end_script();
             }
             Backend::Script | Backend::UmiScript => {}
             Backend::PrePosition => {
@@ -348,8 +532,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let mut shared = lock(&self.shared);
         shared.cause = Some(cause);
         shared.end = Some(End { cause, is_stop_confirmed });
-        drop(shared);
-        self.gripper
+        cause
     }
 }
 
@@ -431,7 +614,7 @@ mod tests {
     use super::super::trajectory::Trajectory;
     use super::*;
     use crate::driver::tests::rig::{Rig, Watch, frame, payload, status};
-    use crate::{Command, CommandId, PrePositionFlags, Reply, Value};
+    use crate::{Command, CommandId, HomingDirection, PrePositionFlags, Reply, Value};
     use std::vec;
     use std::vec::Vec;
 
@@ -468,7 +651,8 @@ mod tests {
         }
         let mut gripper = Gripper::<_, _>::with_config(rig.clone(), Watch(rig.clone()), config);
         gripper.connect().unwrap();
-        let worker = Worker::new(gripper, Config::DEFAULT).unwrap();
+        let handle = gripper.stop_handle().unwrap();
+        let worker = Worker::new(gripper, Config::DEFAULT, mpsc::channel().1, handle).unwrap();
         assert_eq!(worker.backend(), backend);
         (rig, worker)
     }
@@ -553,24 +737,109 @@ mod tests {
         for (is_end_requested, cause, end) in
             [(true, stop, Cause::Requested), (false, stop, stop), (true, fast_stop, fast_stop)]
         {
-            let (_rig, worker) = worker(Backend::PrePosition);
+            let (_rig, mut worker) = worker(Backend::PrePosition);
             let shared = Arc::clone(worker.shared());
             lock(&shared).is_end_requested = is_end_requested;
-            let _gripper = worker.finish(cause);
+            worker.finish(cause);
             assert_eq!(lock(&shared).end, Some(End { cause: end, is_stop_confirmed: true }));
         }
     }
 
     #[test]
+    fn acknowledgement_from_before_a_stop_has_no_effect() {
+        for (is_before_end, is_before_stop) in [(false, false), (true, false), (false, true)] {
+            let (rig, mut worker) = worker(Backend::PrePosition);
+            let (requests, received) = mpsc::channel();
+            worker.requests = received;
+            let handle = worker.handle.clone();
+            let (result, outcome) = mpsc::channel();
+            let acknowledge =
+                |stops| requests.send(Request { home: None, stops, result: result.clone() }).unwrap();
+            worker.segment.end = 10.0;
+            order(&rig, &worker, 80.0, 100.0);
+            if is_before_end {
+                acknowledge(handle.count());
+            }
+            let cause = if is_before_end {
+                // By another client.
+                Cause::FastStop
+            } else {
+                handle.fast_stop().unwrap();
+                worker.rest(now(&rig)).unwrap_err()
+            };
+            assert!(worker.finish(cause).is_fast_stop());
+            if !is_before_end {
+                acknowledge(handle.count());
+            }
+            if is_before_stop {
+                handle.fast_stop().unwrap();
+            }
+            let is_served = !is_before_end && !is_before_stop;
+            assert_eq!(worker.wait_for_acknowledge(), is_served.then_some(true));
+            assert_eq!(rig.received(CommandId::Acknowledge), usize::from(is_served));
+            assert_eq!(outcome.try_recv().is_ok_and(|outcome| outcome.is_ok()), is_served);
+            assert_eq!(lock(worker.shared()).cause, (!is_served).then_some(cause));
+            if is_served {
+                assert!(lock(worker.shared()).trajectory.is_none());
+                assert_eq!(worker.segment.end, HERE);
+            }
+        }
+    }
+
+    #[test]
+    fn acknowledgement_while_the_stream_runs_drops_all_set_points() {
+        for home in [None, Some(HomingDirection::Positive)] {
+            let (rig, mut worker) = worker(Backend::PrePosition);
+            let (requests, received) = mpsc::channel();
+            worker.requests = received;
+            let (result, outcome) = mpsc::channel();
+            worker.segment.end = 10.0;
+            order(&rig, &worker, 80.0, 100.0);
+            requests.send(Request { home, stops: 0, result }).unwrap();
+            until_answered(&rig, &mut worker, &outcome);
+            // UMI's script keeps its last speed until a Stop.
+            assert_eq!((rig.received(CommandId::PrePosition), rig.received(CommandId::Stop)), (0, 1));
+            assert_eq!((worker.segment.end, worker.set_point), (HERE, None));
+        }
+    }
+
+    /// Advances the worker until it has answered a request.
+    fn until_answered(
+        rig: &Rig,
+        worker: &mut Worker<Rig, Watch>,
+        outcome: &mpsc::Receiver<Result<(), Error<crate::driver::tests::rig::Noise>>>,
+    ) {
+        for _ in 0..1_000 {
+            worker.turn().unwrap();
+            if let Ok(outcome) = outcome.try_recv() {
+                return outcome.unwrap();
+            }
+            worker.rest(now(rig).plus(10)).unwrap();
+        }
+        panic!("no answer");
+    }
+
+    #[test]
+    fn lost_connection_replaces_the_fast_stop_as_the_cause() {
+        let (rig, mut worker) = worker(Backend::Script);
+        worker.finish(Cause::FastStop);
+        rig.world(|world| world.closed = true);
+        assert_eq!(worker.wait_for_acknowledge(), Some(false));
+        let end = End { cause: Cause::Closed, is_stop_confirmed: true };
+        let shared = lock(worker.shared());
+        assert_eq!((shared.cause, shared.end), (Some(end.cause), Some(end)));
+    }
+
+    #[test]
     fn script_is_ended_only_after_a_confirmed_stop() {
         for is_stop_confirmed in [true, false] {
-            let (rig, worker) = worker(Backend::Script);
+            let (rig, mut worker) = worker(Backend::Script);
             let shared = Arc::clone(worker.shared());
             if !is_stop_confirmed {
                 rig.script_status(CommandId::Stop, Status::CmdFailed);
             }
             let before = rig.received(CommandId::Unknown(STREAM_ID));
-            let _gripper = worker.finish(Cause::Unanswered);
+            worker.finish(Cause::Unanswered);
             let end = End { cause: Cause::Unanswered, is_stop_confirmed };
             assert_eq!(lock(&shared).end, Some(end));
             let ended = rig.received(CommandId::Unknown(STREAM_ID)) - before;
