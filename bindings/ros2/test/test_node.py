@@ -1,0 +1,219 @@
+"""The node with a simulator and a client in one process."""
+
+from __future__ import annotations
+
+import socket
+import time
+from typing import Any, Callable
+
+import pytest
+from conftest import Client, is_moving, wait_for, wait_until
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from wsg_gripper import Gripper, SystemFlags
+from wsg_gripper.sim import Simulator
+
+SERVICES = ("home", "stop", "fast_stop", "acknowledge", "grip", "release", "tare")
+
+
+def unused_address() -> str:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return "127.0.0.1:%d" % server.getsockname()[1]
+
+
+def test_services_exist_and_refuse_before_the_connection(grippers: Callable[..., Client]) -> None:
+    client = grippers()
+    assert client.lifecycle() == "unconfigured"
+    for service in SERVICES:
+        success, message = client.call(service)
+        assert not success and ("not configured" in message or "not active" in message), service
+    assert client.wait_for_health("not configured").level == b"\3"
+    assert not client.change("configure"), "without an address"
+    assert client.state() == "NO_CONNECTION"
+
+
+def test_grip_cycle_with_joint_states_per_finger(gripper: Client, simulator: Simulator) -> None:
+    assert gripper.ok("grip") == "HOLDING"
+    gripper.wait_for_state("HOLDING")
+    assert simulator.observe().force == pytest.approx(40, abs=1)
+    wait_until(lambda: abs(gripper.joint_states[-1].effort[0] - 20) < 0.5)
+    held = gripper.joint_states[-1]
+    assert held.name == ["wsg_finger_left_joint", "wsg_finger_right_joint"]
+    assert list(held.position) == pytest.approx([0.0098] * 2, abs=3e-4)
+    gripper.ok("release")
+    assert simulator.observe().width == pytest.approx(110, abs=0.1)
+    assert any(it.velocity[0] < -0.02 for it in gripper.joint_states), "closing"
+    assert any(it.velocity[1] > 0.02 for it in gripper.joint_states), "opening"
+    stamps = [it.header.stamp.sec + it.header.stamp.nanosec * 1e-9 for it in gripper.joint_states]
+    assert stamps == sorted(set(stamps)), "each measurement once"
+    simulator.set_part(None)
+    assert gripper.call("grip") == (False, "GripperError: NO_PART: there is no part between the fingers")
+    assert gripper.call("tare") == (False, "RefusedError: refused: E_NOT_AVAILABLE"), "without a sensor"
+
+
+def test_start_moves_and_acknowledges_nothing(grippers: Callable[..., Client], simulator: Simulator) -> None:
+    with Gripper(simulator.tcp) as other:
+        other.fast_stop()
+    before = simulator.observe()
+    client = grippers(address=simulator.tcp, home_on_activate=True)
+    assert client.wait_for_health("~/acknowledge").level == b"\2"
+    assert "not referenced" in client.health[-1].message
+    wait_until(lambda: client.lifecycle() == "inactive")
+    assert not client.change("activate"), "home_on_activate does not acknowledge"
+    assert client.call("home")[1].startswith("GripperError: the node is not active")
+    after = simulator.observe()
+    assert (after.width, SystemFlags.FAST_STOP in after.flags) == (before.width, True)
+    assert client.joint_states == [], "without a reference, positions have no meaning"
+    client.ok("acknowledge")
+    assert client.change("activate")
+    wait_until(lambda: client.joint_states)
+    assert simulator.observe().width == pytest.approx(110, abs=0.1), "homed as the parameter requests"
+
+
+def test_motions_without_reference_are_refused_with_the_status(grippers: Callable[..., Client], simulator: Simulator) -> None:
+    client = grippers(address=simulator.tcp)
+    wait_until(lambda: client.lifecycle() == "active")
+    for service in ("grip", "release"):
+        assert "E_NOT_INITIALIZED" in client.call(service)[1]
+    assert client.wait_for_health("not referenced").level == b"\1"
+
+
+@pytest.mark.parametrize("service", ["stop", "fast_stop"])
+def test_stop_acts_within_250_ms_while_services_wait(gripper: Client, simulator: Simulator, service: str) -> None:
+    delays = []
+    for _ in range(4):
+        if service == "fast_stop":
+            gripper.ok("acknowledge")
+        gripper.ok("release")
+        set_parameter(gripper, "speed", 0.02)
+        grip = gripper.begin("grip")
+        wait_until(lambda: is_moving(simulator))
+        refused = [gripper.begin(it) for it in ("home", "release", "grip") * 5]
+        assert all(wait_for(it).message == "BusyError: another motion is running" for it in refused)
+        load = [gripper.begin("tare") for _ in range(8)]
+        begin = time.monotonic()
+        stop = gripper.begin(service)
+        wait_until(lambda: not is_moving(simulator))
+        delays.append(time.monotonic() - begin)
+        assert wait_for(stop).success
+        assert wait_for(grip).message == f"Halted: stopped by ~/{service}"
+        assert not any(wait_for(it).success for it in load)
+        set_parameter(gripper, "speed", 0.4)
+        if service == "fast_stop":
+            assert "E_ACCESS_DENIED" in gripper.call("home")[1]
+            assert gripper.wait_for_health("FAST STOP").level == b"\2"
+    assert min(delays) < 0.25, delays
+
+
+def set_parameter(client: Client, name: str, value: Any) -> Any:
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    return wait_for(client.request(SetParameters, "set_parameters", request)).results[0]
+
+
+def test_parameters_outside_their_ranges_are_refused(gripper: Client, simulator: Simulator) -> None:
+    for name, value in (("speed", 0.6), ("speed", float("nan")), ("force", 0.0), ("prefix", "a_"), ("mode", "stream")):
+        assert not set_parameter(gripper, name, value).successful, name
+    set_parameter(gripper, "force", 500.0)
+    assert gripper.call("grip")[1].startswith("InvalidError")
+    assert not is_moving(simulator) and simulator.observe().force_limit == 40
+
+
+def test_killed_gripper_is_reported_and_found_again(grippers: Callable[..., Client]) -> None:
+    line = unused_address()
+    first = Simulator(tcp=line, homing_speed=400)
+    client = grippers(address=f"tcp://{line}", home_on_activate=True)
+    wait_until(lambda: client.joint_states)
+    begin = time.monotonic()
+    first.close()
+    client.wait_for_state("NO_CONNECTION")
+    assert time.monotonic() - begin < 1, "0.2 s on an idle machine"
+    count = len(client.joint_states)
+    assert client.wait_for_health("NotConnectedError").level == b"\3"
+    assert "no connection" in client.call("home")[1]
+    assert "no connection" in client.call("fast_stop")[1]
+    begin = time.monotonic()
+    with Simulator(tcp=line) as second:
+        client.wait_for_health("not referenced")
+        assert time.monotonic() - begin < 3, "2 s on an idle machine"
+        assert second.observe().speed == 0, "no motion after a reconnect"
+        assert len(client.joint_states) == count, "no position without a reference"
+        client.ok("home")
+        wait_until(lambda: len(client.joint_states) > count)
+
+
+def test_deactivation_stops_a_motion_and_keeps_a_part(gripper: Client, simulator: Simulator) -> None:
+    set_parameter(gripper, "speed", 0.02)
+    grip = gripper.begin("grip")
+    wait_until(lambda: is_moving(simulator))
+    assert gripper.change("deactivate")
+    assert "the node was deactivated" in wait_for(grip).message
+    assert not is_moving(simulator)
+    assert gripper.change("activate")
+    set_parameter(gripper, "speed", 0.4)
+    gripper.ok("grip")
+    assert gripper.change("deactivate") and gripper.change("cleanup")
+    assert simulator.observe().force == pytest.approx(40, abs=1)
+    gripper.wait_for_state("NO_CONNECTION")
+    assert SystemFlags.FAST_STOP not in simulator.observe().flags, "the end was announced"
+    assert gripper.change("configure") and gripper.change("activate")
+    gripper.wait_for_state("HOLDING")
+    gripper.ok("release")
+
+
+def test_two_grippers_in_one_process(grippers: Callable[..., Client], simulator: Simulator) -> None:
+    with Simulator(part=50, homing_speed=400) as other:
+        left = grippers(address=simulator.tcp, prefix="left_")
+        right = grippers(address=other.tcp, prefix="right_")
+        for client in (left, right):
+            wait_until(lambda: client.lifecycle() == "active")
+        for answers in [[client.begin(it) for client in (left, right)] for it in ("home",)]:
+            assert all(wait_for(it).success for it in answers)
+        grips = [client.begin("grip") for client in (left, right)]
+        assert [wait_for(it).message for it in grips] == ["HOLDING"] * 2
+        for client, width in ((left, 20), (right, 50)):
+            wait_until(lambda: abs(client.joint_states[-1].position[0] * 2000 - width) < 1)
+        assert right.joint_states[-1].name[0] == "right_wsg_finger_left_joint"
+
+
+def set_point(client: Client, position: float, name: str = "wsg_finger_left_joint") -> None:
+    client.set_points.publish(JointState(name=[name], position=[position]))
+
+
+def follows(client: Client, simulator: Simulator, position: float) -> None:
+    """Publish a set-point until the fingers are there."""
+
+    def is_there() -> bool:
+        set_point(client, position)
+        time.sleep(0.01)
+        return abs(simulator.observe().width - 2000 * position) < 0.5
+
+    wait_until(is_there, f"fingers at {position}")
+
+
+def test_set_points_move_the_fingers_until_a_stop(grippers: Callable[..., Client], simulator: Simulator) -> None:
+    simulator.set_part(None)
+    client = grippers(address=simulator.tcp, mode="stream", home_on_activate=True, joint_state_rate=100.0, speed=0.4)
+    client.wait_for_state("STREAMING")
+    follows(client, simulator, 0.03)
+    for refused in (0.056, -0.001, float("nan")):
+        set_point(client, refused)
+    set_point(client, 0.04, "elbow")
+    assert "BusyError" in client.call("grip")[1]
+    follows(client, simulator, 0.02)
+    client.ok("home")
+    assert simulator.observe().width == pytest.approx(110, abs=0.1)
+    follows(client, simulator, 0.02)
+    for service in ("stop", "fast_stop"):
+        client.ok(service)
+        wait_until(lambda: client.state() not in ("STREAMING", "NO_CONNECTION"))
+        for _ in range(20):
+            set_point(client, 0.05)
+            time.sleep(0.01)
+        assert simulator.observe().width == pytest.approx(40, abs=1), "a stream never resumes by itself"
+        if service == "fast_stop":
+            assert SystemFlags.FAST_STOP in simulator.observe().flags
+            client.ok("acknowledge")
+        assert client.change("deactivate") and client.change("activate")
+        client.wait_for_state("STREAMING")
+        follows(client, simulator, 0.02)

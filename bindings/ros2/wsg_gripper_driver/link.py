@@ -1,0 +1,300 @@
+"""The connection to a gripper. A thread connects, reads the state, and connects again after a loss.
+
+Without a call from outside, it sends queries of the state only. ``Requests.read`` and ``Stream.read`` are the only places
+that read the state.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from math import inf
+from typing import Callable, NamedTuple, Optional, Union
+
+from wsg_gripper import (
+    BusyError,
+    Gripper,
+    GripperError,
+    GripperState,
+    Limits,
+    NotConnectedError,
+    StoppedError,
+    StreamEndedError,
+    StreamingGripper,
+    SystemFlags,
+    UnansweredError,
+    UnsupportedError,
+)
+
+STATE_PERIOD = 0.2
+"""Time between two queries of flags and grip state in s. Each query of a real gripper takes 24 ms."""
+TEMPERATURE_PERIOD = 1.0
+"""Time between two queries of the temperature in s."""
+LATE = 0.7
+"""Age in s from which the sample of a stream counts as a lost connection. The stream itself ends after 1 s."""
+OPENING = 5.0
+"""Longest wait for a connection in s, more than the time-out of the driver."""
+SWITCHING = 0.2
+"""Longest wait in s of a stop for the end of a change between requests and streaming."""
+
+
+class Reading(NamedTuple):
+    """State of the gripper, as it was measured at a time of ``time.time()``."""
+
+    at: float
+    width: float
+    """Opening in mm."""
+    speed: float
+    """Speed of the opening in mm/s; closing is negative."""
+    force: float
+    """Force in N, summed over both fingers."""
+    flags: SystemFlags
+    state: str
+    """Grip state of the manual, or ``STREAMING``."""
+    temperature: Optional[float]
+
+    @property
+    def age(self) -> float:
+        """Time since the measurement in s, now."""
+        return max(0.0, time.time() - self.at)
+
+
+class Requests:
+    """A connection for single requests."""
+
+    def __init__(self, address: str) -> None:
+        self.gripper = Gripper(address)
+        try:
+            self.limits = self._limits()
+            info = self.gripper.info()
+            self.device = f"{info.device} {info.serial_number}"
+            self._read_states()
+        except BaseException:
+            self.gripper.close()
+            raise
+
+    def _limits(self) -> Limits:
+        try:
+            return self.gripper.limits()
+        except UnsupportedError:
+            # The text protocol has no query for them. The driver and the gripper refuse values outside the limits.
+            return Limits(inf, 0, inf, 0, inf, 0, inf, inf)
+
+    def _read_states(self) -> None:
+        self._flags = self.gripper.flags()
+        self._state: GripperState = self.gripper.state()
+        self._states_due = time.monotonic() + STATE_PERIOD
+        self._temperature = self.gripper.temperature()
+        self._temperature_due = time.monotonic() + TEMPERATURE_PERIOD
+
+    def read(self) -> Reading:
+        """Query the state. Raises ``NotConnectedError``, ``UnansweredError`` or ``StoppedError``."""
+        now = time.monotonic()
+        if now >= self._states_due:
+            self._flags, self._state = self.gripper.flags(), self.gripper.state()
+            self._states_due = now + STATE_PERIOD
+        if now >= self._temperature_due:
+            self._temperature = self.gripper.temperature()
+            self._temperature_due = now + TEMPERATURE_PERIOD
+        at, width = time.time(), self.gripper.width()
+        speed, force = self.gripper.speed(), self.gripper.force()
+        return Reading(at, width, speed, force, self._flags, self._state.name, self._temperature)
+
+    def halt(self, fast: bool) -> None:
+        """Stop the fingers, and wait for the confirmation."""
+        if fast:
+            self.gripper.fast_stop()
+        else:
+            self.gripper.stop()
+
+    def close(self) -> None:
+        self.gripper.close()
+
+
+class Stream:
+    """A connection that streams set-points. It never homes and never acknowledges."""
+
+    def __init__(self, address: str, rate: float, speed: float, force: float) -> None:
+        self.gripper = StreamingGripper(address, rate, home=None, max_speed=speed, force=force)
+        self.gripper.start()
+        ended = self.gripper.ended
+        if ended is not None:
+            self.gripper.stop()
+            raise StreamEndedError(ended)
+        self.limits = self.gripper.limits
+        self.device = ""
+
+    def read(self) -> Reading:
+        """Return the latest sample. Raises ``StreamEndedError``, or ``UnansweredError`` if it is late."""
+        sample = self.gripper.latest()
+        if time.time() - sample.received > LATE:
+            raise UnansweredError(f"no answer for {LATE} s")
+        return Reading(
+            sample.measured, sample.position, sample.speed, sample.force, sample.flags, "STREAMING", None
+        )
+
+    def halt(self, fast: bool) -> None:
+        """Stop the fingers, and wait until this has ended the stream."""
+        if self.gripper.ended is not None:
+            raise StreamEndedError(self.gripper.ended)
+        if fast:
+            self.gripper.fast_stop()
+        else:
+            self.gripper.stop(wait=False)
+        end = time.monotonic() + 1
+        while self.gripper.ended is None:
+            if time.monotonic() > end:
+                raise UnansweredError("the gripper did not confirm the stop")
+            time.sleep(0.001)
+
+    def close(self) -> None:
+        self.gripper.stop()
+
+
+Source = Union[Requests, Stream]
+
+
+class Link:
+    """A connection that is kept: ``Requests`` at first and after each loss, ``Stream`` on demand.
+
+    The callbacks run in the thread of the connection: ``on_open`` with each new connection, ``on_reading`` at the rate, and
+    ``on_lost`` with the cause, as soon as a connection is lost or an attempt fails.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        rate: float,
+        reconnect_period: float,
+        on_open: Callable[[Source], None],
+        on_reading: Callable[[Reading], None],
+        on_lost: Callable[[Exception], None],
+    ) -> None:
+        self._rate = rate
+        self._reconnect_period = reconnect_period
+        self._on_open, self._on_reading, self._on_lost = on_open, on_reading, on_lost
+        self._changed = threading.Condition()
+        self._source: Optional[Source] = None
+        self._requests: Callable[[], Source] = lambda: Requests(address)
+        self._wanted = self._requests
+        self._outcome: Optional[Exception] = None
+        self._is_settled = False
+        self._is_closing = False
+        self._thread = threading.Thread(target=self._run, name="wsg link", daemon=True)
+        self._thread.start()
+
+    # Calls from other threads
+
+    def wait(self) -> None:
+        """Wait for the outcome of the current attempt to connect, and raise its error."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._is_settled, OPENING):
+                raise NotConnectedError("the gripper does not respond")
+            if self._outcome is not None:
+                raise self._outcome
+
+    def stream(self, opener: Optional[Callable[[], Stream]]) -> None:
+        """Replace the connection by a stream, or by a connection for requests (``None``), and wait for it."""
+        wanted = self._requests if opener is None else opener
+        with self._changed:
+            if self._wanted is not wanted:
+                self._wanted, self._is_settled, self._outcome = wanted, False, None
+                self._changed.notify_all()
+        try:
+            self.wait()
+        except GripperError:
+            # A stream that opens later would be a surprise.
+            self._wanted = self._requests
+            raise
+
+    @property
+    def source(self) -> Source:
+        """The current connection. Raises ``NotConnectedError``."""
+        source = self._source
+        if source is None:
+            raise NotConnectedError(f"no connection: {self._outcome or 'connecting'}")
+        return source
+
+    @property
+    def is_streaming(self) -> bool:
+        return isinstance(self._source, Stream)
+
+    @property
+    def gripper(self) -> Gripper:
+        """The driver for requests. Raises ``NotConnectedError``, and ``BusyError`` while set-points are streamed."""
+        source = self.source
+        if isinstance(source, Stream):
+            raise BusyError("set-points are streamed: deactivate the node, or set the parameter mode to request")
+        return source.gripper
+
+    def halt(self, fast: bool) -> None:
+        """Stop the fingers, or lock them by a FAST STOP. Raises ``NotConnectedError`` if there is no connection."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._source is not None, SWITCHING)
+        try:
+            self.source.halt(fast)
+        except StreamEndedError:
+            # The fingers have stopped. A FAST STOP must lock them, over the next connection.
+            if fast:
+                with self._changed:
+                    self._changed.wait_for(lambda: isinstance(self._source, Requests), OPENING)
+                self.source.halt(True)
+
+    def close(self) -> None:
+        """Stop a running motion, announce the end of the connection, and end the thread."""
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
+        self._thread.join(OPENING)
+
+    # The thread
+
+    def _run(self) -> None:
+        while not self._is_closing:
+            wanted = self._wanted
+            source: Optional[Source] = None
+            error: Optional[Exception] = None
+            try:
+                source = wanted()
+                self._settle(source, None)
+                self._on_open(source)
+                self._read(source, wanted)
+            except (GripperError, OSError) as failure:
+                error = failure
+            if error is not None:
+                # Nothing resumes by itself: the next connection is for requests.
+                with self._changed:
+                    if self._wanted is wanted:
+                        self._wanted = self._requests
+                self._settle(None, error)
+                self._on_lost(error)
+            else:
+                self._source = None
+            if source is not None:
+                source.close()
+            if error is not None and wanted is self._requests:
+                if self._reconnect_period == 0:
+                    return
+                with self._changed:
+                    self._changed.wait_for(
+                        lambda: self._is_closing or self._wanted is not wanted, self._reconnect_period
+                    )
+
+    def _settle(self, source: Optional[Source], error: Optional[Exception]) -> None:
+        with self._changed:
+            self._source, self._outcome, self._is_settled = source, error, True
+            self._changed.notify_all()
+
+    def _read(self, source: Source, wanted: object) -> None:
+        """Read the state at the rate, until another connection is wanted. Raises the error that ends the connection."""
+        due = time.monotonic()
+        while True:
+            try:
+                self._on_reading(source.read())
+            except StoppedError:
+                pass  # A stop of this program ended the query, not the connection.
+            now = time.monotonic()
+            due = max(due + 1 / self._rate, now)
+            with self._changed:
+                if self._changed.wait_for(lambda: self._is_closing or self._wanted is not wanted, due - now):
+                    return

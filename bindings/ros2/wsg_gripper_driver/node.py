@@ -1,0 +1,541 @@
+"""The lifecycle node ``wsg_gripper``."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import traceback
+from contextlib import contextmanager
+from math import nan
+from typing import Any, Callable, Iterator, Optional
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.duration import Duration
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from wsg_gripper import BlockedError, Gripper, GripperError, InvalidError, NotConnectedError, SystemFlags
+
+from . import units
+from .link import Link, Reading, Requests, Source, Stream
+from .motions import POLL_PERIOD, Halted, Motions, Run, close_on, move_to
+
+try:
+    from control_msgs.action import ParallelGripperCommand as Command
+except ImportError:
+    try:  # Humble
+        from control_msgs.action import GripperCommand as Command
+    except ImportError:
+        Command = None
+
+THREADS = 8
+"""Threads of an executor for each node. At most six callbacks of a node wait for the gripper at once."""
+FEEDBACK_POLLS = 5
+"""Polls of a motion for each feedback of the action."""
+RESULT_TIMEOUT = 0.5
+"""Longest wait in s at the end of the program for the delivery of a result."""
+
+# Name, default, range or None, description. The others take effect at the next motion.
+FIXED_PARAMETERS = (
+    ("address", "", None, "Address of the gripper, such as tcp://192.168.1.20; empty: none"),
+    ("mode", "request", None, "request: services and ~/gripper_cmd move the fingers; stream: ~/joint_commands"),
+    ("autostart", True, None, "Configure and activate the node at its start"),
+    ("prefix", "", None, "Prefix of the joint names, as in the URDF"),
+    ("joint_state_rate", 20.0, (10.0, 200.0), "Rate of joint_states, and of set-points in mode stream, in Hz"),
+    ("diagnostics_rate", 1.0, (0.1, 10.0), "Rate of /diagnostics in Hz"),
+    ("reconnect_period", 1.0, (0.0, 60.0), "Time between two attempts to connect in s; 0: never connect again"),
+)
+PARAMETERS = (
+    ("home_on_activate", False, None, "Home at activation if the gripper is not referenced: the fingers move"),
+    ("speed", 0.1, (0.001, 0.5), "Speed of the opening in m/s, unless a goal requests another one"),
+    ("force", 40.0, (1.0, 700.0), "Force in N, summed over both fingers, of ~/grip and of a stream"),
+    ("grip_width", 0.0, (0.0, 0.25), "Opening in m to which ~/grip closes"),
+    ("release_width", 0.0, (0.0, 0.25), "Opening in m to which ~/release opens; 0: the stroke"),
+    ("contact_grip", True, None, "Grip parts of any width by contact; false: the requested width is the width of the part"),
+)
+
+
+class GoalServer(ActionServer):
+    """An action server that knows whether it has sent the result of its last goal."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self.result_sent = threading.Event()
+        self.result_sent.set()
+        super().__init__(*arguments, **options)
+
+    def _send_result_response(self, *arguments: Any) -> None:
+        super()._send_result_response(*arguments)
+        self.result_sent.set()
+
+
+class WsgGripper(LifecycleNode):
+    """A gripper as a lifecycle node. It needs an executor with at least ``THREADS`` threads.
+
+    Nothing moves and nothing is acknowledged without a request, except by the parameter ``home_on_activate``.
+    """
+
+    def __init__(self, name: str = "wsg_gripper", **options: Any) -> None:
+        self._link: Optional[Link] = None
+        self._motions = Motions()
+        self._is_active = False
+        self._joints: list[str] = []
+        self._reading: Optional[Reading] = None
+        self._published_state = ""
+        self._loss = "not configured"
+        self._last_error = ""
+        super().__init__(name, **options)
+        self._declare()
+        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._states = self.create_publisher(String, "~/state", latched)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # A motion refuses others, so at most one of this group waits.
+        motions = ReentrantCallbackGroup()
+        settings, stop, fast_stop, set_points, timer = (MutuallyExclusiveCallbackGroup() for _ in range(5))
+        for service, act, group in (
+            ("home", self._home, motions),
+            ("grip", self._grip, motions),
+            ("release", self._release, motions),
+            ("acknowledge", self._acknowledge, settings),
+            ("tare", self._tare, settings),
+            ("stop", lambda: self._halt("stopped by ~/stop", False), stop),
+            ("fast_stop", lambda: self._halt("stopped by ~/fast_stop", True), fast_stop),
+        ):
+            self.create_service(Trigger, f"~/{service}", self._answering(act), callback_group=group)
+        latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(JointState, "~/joint_commands", self._follow, latest, callback_group=set_points)
+        self._goals: Optional[GoalServer] = None
+        if Command is None:
+            self.get_logger().warning("control_msgs is not installed: ~/gripper_cmd does not exist")
+        else:
+            self._goals = GoalServer(
+                self,
+                Command,
+                "~/gripper_cmd",
+                self._execute,
+                callback_group=motions,
+                goal_callback=self._accept,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+            )
+        self.create_timer(1 / self._value("diagnostics_rate"), self._publish_health, callback_group=timer)
+        self._publish_state("NO_CONNECTION")
+        if self._value("autostart"):
+            # In the group of the lifecycle services.
+            self._start = self.create_timer(0, self._autostart)
+
+    # Parameters
+
+    def _declare(self) -> None:
+        for name, default, limits, text in FIXED_PARAMETERS + PARAMETERS:
+            is_read_only = name in ("autostart", "diagnostics_rate")
+            descriptor = ParameterDescriptor(description=text, read_only=is_read_only)
+            if limits is not None:
+                descriptor.floating_point_range = [FloatingPointRange(from_value=limits[0], to_value=limits[1])]
+            self.declare_parameter(name, default, descriptor)
+        self.add_on_set_parameters_callback(self._check_parameters)
+
+    def _value(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    def _check_parameters(self, parameters: list[Any]) -> SetParametersResult:
+        fixed = {name for name, *_ in FIXED_PARAMETERS}
+        changed = [parameter.name for parameter in parameters if parameter.name in fixed]
+        if self._link is not None and changed:
+            return SetParametersResult(successful=False, reason=f"{changed[0]} requires cleanup of the node first")
+        return SetParametersResult(successful=True)
+
+    # Lifecycle
+
+    def _autostart(self) -> None:
+        self._start.cancel()
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+
+    def _fail(self, text: str) -> TransitionCallbackReturn:
+        self._last_error = text
+        self.get_logger().error(text)
+        return TransitionCallbackReturn.FAILURE
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        address, mode, period = (self._value(name) for name in ("address", "mode", "reconnect_period"))
+        if not address:
+            return self._fail("the parameter address is empty; expected an address such as tcp://192.168.1.20")
+        if mode not in ("request", "stream"):
+            return self._fail(f"the parameter mode is {mode}; expected request or stream")
+        self._joints = units.joint_names(self._value("prefix"))
+        self._link = Link(
+            address, self._value("joint_state_rate"), period, self._opened, self._publish_reading, self._lost
+        )
+        try:
+            self._link.wait()
+        except GripperError as error:
+            if isinstance(error, InvalidError) or period == 0:
+                self._end_link()
+                return self._fail(units.description(error))
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        assert self._link is not None
+        try:
+            if self._value("home_on_activate") and SystemFlags.REFERENCED not in self._link.gripper.flags():
+                with self._motions.run() as run:
+                    gripper = self._link.gripper
+                    run.wait(gripper, gripper.begin_home)
+            if self._value("mode") == "stream":
+                self._open_stream()
+        except GripperError as error:
+            return self._fail(f"cannot activate: {units.description(error)}")
+        self._is_active = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._rest("the node was deactivated")
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._end_link()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.end("the node was shut down")
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.end("the node failed")
+        return TransitionCallbackReturn.SUCCESS
+
+    def _rest(self, reason: str) -> None:
+        """Stop running motions and streams. A held part stays held."""
+        self._is_active = False
+        if self._motions.is_running:
+            self._motions.halt_and_wait(reason)
+        link = self._link
+        if link is not None and link.is_streaming:
+            try:
+                link.stream(None)
+            except GripperError as error:
+                self._note(error)
+
+    def end(self, reason: str) -> None:
+        """Stop the fingers, abort a running goal, and end the connection to the gripper."""
+        if self._motions.is_running:
+            self.get_logger().warning(f"stopping the fingers: {reason}")
+        self._rest(reason)
+        self._end_link()
+
+    def _end_link(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+            self._set_loss("not configured")
+
+    def destroy_node(self) -> None:
+        self.end("the node was destroyed")
+        super().destroy_node()
+
+    # Connection
+
+    def _connected(self) -> Link:
+        link = self._link
+        if link is None:
+            raise NotConnectedError("the node is not configured")
+        return link
+
+    def _opened(self, source: Source) -> None:
+        self._loss = ""
+        if isinstance(source, Requests):
+            reading = source.read()
+            _, text = units.health(reading.flags)
+            self.get_logger().info(f"connected to {source.device}: {text}")
+            self._publish_reading(reading)
+            self._publish_health()
+
+    def _lost(self, error: Exception) -> None:
+        if self._set_loss(units.description(error)):
+            self._note(error)
+
+    def _set_loss(self, text: str) -> bool:
+        """Publish the reason why there is no connection. Return whether it is a new one."""
+        is_new = text != self._loss
+        self._reading, self._loss = None, text
+        if is_new:
+            self._publish_state("NO_CONNECTION")
+            self._publish_health()
+        return is_new
+
+    def _note(self, error: Exception) -> None:
+        self._last_error = units.description(error)
+        self.get_logger().warning(self._last_error)
+
+    # Publications
+
+    def _joint_state(self, reading: Reading) -> JointState:
+        measured = self.get_clock().now() - Duration(seconds=reading.age)
+        message = JointState(name=self._joints)
+        message.header.stamp = measured.to_msg()
+        values = (reading.width / 1000, reading.speed / 1000, reading.force)
+        message.position, message.velocity, message.effort = ([value / units.PER_FINGER] * 2 for value in values)
+        return message
+
+    def _publish_reading(self, reading: Reading) -> None:
+        self._publish_state(reading.state)
+        # Without a reference, and for a sample that was published already, there is no current value.
+        before, self._reading = self._reading, reading
+        if SystemFlags.REFERENCED in reading.flags and (before is None or before.at != reading.at):
+            self._joint_states.publish(self._joint_state(reading))
+
+    def _publish_state(self, state: str) -> None:
+        if state != self._published_state:
+            self._published_state = state
+            self._states.publish(String(data=state))
+
+    def _publish_health(self) -> None:
+        reading, loss = self._reading, self._loss
+        values = {"state": self._published_state, "mode": self._value("mode"), "last error": self._last_error}
+        if reading is None or loss:
+            level, text = units.STALE, loss or "connecting"
+        else:
+            level, text = units.health(reading.flags)
+            values["flags"] = " ".join(flag.name or "" for flag in SystemFlags if flag in reading.flags)
+            if reading.temperature is not None:
+                values["temperature"] = f"{reading.temperature:.1f} °C"
+        status = DiagnosticStatus(
+            level=bytes([level]),
+            name=f"{self.get_fully_qualified_name()[1:]}: gripper",
+            message=text,
+            hardware_id=self._value("address"),
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    # Services
+
+    def _answering(self, act: Callable[[], Optional[str]]) -> Callable[[Any, Any], Any]:
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.message = act() or "done"
+                response.success = True
+            except GripperError as error:
+                response.message = units.description(error)
+                self._last_error = response.message
+            return response
+
+        return answer
+
+    def _halt(self, reason: str, fast: bool) -> None:
+        self._motions.halt(reason)
+        self._connected().halt(fast)
+
+    @contextmanager
+    def _requests(self) -> Iterator[Gripper]:
+        """Yield the driver for requests. A running stream is suspended, and stays ended if the request fails."""
+        link = self._connected()
+        is_streaming = link.is_streaming
+        if is_streaming:
+            link.stream(None)
+        yield link.gripper
+        if is_streaming and self._is_active:
+            self._open_stream()
+
+    @contextmanager
+    def _motion(self) -> Iterator[Run]:
+        with self._motions.run() as run:
+            if not self._is_active:
+                raise GripperError("the node is not active: a motion requires the lifecycle state active")
+            yield run
+
+    def _home(self) -> None:
+        with self._motion() as run, self._requests() as gripper:
+            run.wait(gripper, gripper.begin_home)
+
+    def _acknowledge(self) -> None:
+        with self._requests() as gripper:
+            gripper.acknowledge()
+
+    def _tare(self) -> None:
+        with self._requests() as gripper:
+            gripper.tare()
+
+    def _grip(self) -> str:
+        speed, force, width = (self._value(name) for name in ("speed", "force", "grip_width"))
+        with self._motion() as run:
+            gripper = self._connected().gripper
+            if not close_on(run, gripper, width * 1000, speed * 1000, force, not self._value("contact_grip")):
+                raise GripperError("NO_PART: there is no part between the fingers")
+        return "HOLDING"
+
+    def _release(self) -> None:
+        with self._motion() as run:
+            link = self._connected()
+            width = self._value("release_width") * 1000 or link.source.limits.stroke
+            move_to(run, link.gripper, width, self._value("speed") * 1000)
+
+    # Set-points
+
+    def _open_stream(self) -> None:
+        address, rate, speed, force = (
+            self._value(name) for name in ("address", "joint_state_rate", "speed", "force")
+        )
+        link = self._connected()
+        link.gripper.flags()  # There must be a connection that a stream can replace.
+        link.stream(lambda: Stream(address, rate, speed * 1000, force))
+
+    def _follow(self, command: JointState) -> None:
+        link = self._link
+        try:
+            if not self._is_active or link is None or not isinstance(source := link.source, Stream):
+                raise GripperError("no stream runs: it begins with the activation in mode stream, and a stop ends it")
+            names, joints = list(command.name), self._joints
+            target = units.target(names, list(command.position), [], [], joints, source.limits)
+            source.gripper.set_target(target.width)
+        except (ValueError, GripperError) as error:
+            text = f"refused a set-point of ~/joint_commands: {units.description(error)}"
+            self.get_logger().warning(text, throttle_duration_sec=1.0)
+
+    # Goals
+
+    def _target(self, goal: Any) -> units.Target:
+        """Convert a goal. Raises ``ValueError`` or ``GripperError`` with the reason for a refusal."""
+        if not self._is_active:
+            raise GripperError("the node is not active")
+        link = self._connected()
+        link.gripper  # noqa: B018, raises without a connection for requests
+        command, limits = goal.command, link.source.limits
+        if isinstance(command, JointState):
+            names, values = list(command.name), (command.position, command.velocity, command.effort)
+        else:
+            names, values = [], ([command.position], [], [command.max_effort])
+        return units.target(names, *map(list, values), self._joints, limits)
+
+    def _accept(self, goal: Any) -> GoalResponse:
+        try:
+            if self._motions.is_running:
+                raise GripperError("another motion is running")
+            self._target(goal)
+        except (ValueError, GripperError) as error:
+            self._last_error = f"refused a goal: {units.description(error)}"
+            self.get_logger().warning(self._last_error)
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _execute(self, handle: Any) -> Any:
+        assert self._goals is not None
+        self._goals.result_sent.clear()
+        is_held = is_blocked = is_reached = False
+        try:
+            with self._motion() as run:
+                target = self._target(handle.request)
+                gripper = self._connected().gripper
+                run.tick = self._goal_tick(handle)
+                speed = target.speed or self._value("speed") * 1000
+                if target.force is not None and target.width < gripper.width() + units.TOLERANCE:
+                    is_known = not self._value("contact_grip")
+                    held = close_on(run, gripper, target.width, speed, target.force, is_known)
+                    is_held, is_reached = held is True, held is None
+                    if held is False:
+                        raise GripperError("NO_PART: there is no part between the fingers")
+                else:
+                    move_to(run, gripper, target.width, speed)
+                    is_reached = True
+            handle.succeed()
+        except (ValueError, GripperError) as error:
+            is_blocked = isinstance(error, BlockedError)
+            if handle.is_cancel_requested and isinstance(error, Halted):
+                handle.canceled()
+            else:
+                self._last_error = f"aborted the goal: {units.description(error)}"
+                self.get_logger().warning(self._last_error)
+                handle.abort()
+        return self._filled(Command.Result(), is_held or is_blocked, is_reached)
+
+    def _goal_tick(self, handle: Any) -> Callable[[], None]:
+        pause, polls = threading.Event(), 0
+
+        def tick() -> None:
+            nonlocal polls
+            polls += 1
+            if handle.is_cancel_requested:
+                self._motions.halt("the client cancelled the goal")
+            elif polls % FEEDBACK_POLLS == 0:
+                handle.publish_feedback(self._filled(Command.Feedback(), False, False))
+            pause.wait(POLL_PERIOD)
+
+        return tick
+
+    def _filled(self, message: Any, is_stalled: bool, is_reached: bool) -> Any:
+        """Fill a result or a feedback with the current state. Without one, it has no values, or NaN."""
+        try:
+            reading: Optional[Reading] = self._connected().source.read()
+        except GripperError:
+            reading = None
+        if hasattr(message, "state"):
+            message.state = JointState() if reading is None else self._joint_state(reading)
+        else:
+            state = None if reading is None else self._joint_state(reading)
+            message.position, message.effort = (nan, nan) if state is None else (state.position[0], state.effort[0])
+        for name, value in (("stalled", is_stalled), ("reached_goal", is_reached)):
+            if hasattr(message, name):
+                setattr(message, name, value)
+        return message
+
+    def wait_for_result(self) -> None:
+        """Wait until the result of the last goal has been sent. The executor must run."""
+        if self._goals is not None:
+            self._goals.result_sent.wait(RESULT_TIMEOUT)
+
+
+def main(args: Optional[list[str]] = None) -> int:
+    """Run the node until SIGINT or SIGTERM."""
+    ends = {signal.SIGINT, signal.SIGTERM}
+    for number in ends:
+        # A shell starts background jobs with SIGINT ignored.
+        signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = WsgGripper()
+    except Exception as error:  # A parameter with a wrong type or outside its range.
+        print(f"error: {error}", file=sys.stderr)
+        rclpy.shutdown()
+        return 1
+    executor = MultiThreadedExecutor(THREADS)
+    executor.add_node(node)
+    is_ending, failures = threading.Event(), []
+
+    def spin() -> None:
+        try:
+            while not is_ending.is_set():
+                executor.spin_once()
+        except BaseException:
+            failures.append(traceback.format_exc())
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    spinning = threading.Thread(target=spin, name="executor")
+    spinning.start()
+    number = signal.sigwait(ends)
+    node.end(f"{signal.Signals(number).name} was received")
+    node.wait_for_result()
+    is_ending.set()
+    executor.wake()
+    spinning.join()
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+    print(*failures, sep="", end="", file=sys.stderr)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
