@@ -109,6 +109,19 @@ def test_goals_outside_the_limits_are_refused(goals: Goals, simulator: Simulator
     assert simulator.observe().width == pytest.approx(110, abs=0.1)
 
 
+def test_gripper_command_of_humble(monkeypatch: Any, grippers: Callable[..., Client], simulator: Simulator) -> None:
+    monkeypatch.setattr("wsg_gripper_driver.node.Command", actions.GripperCommand)
+    client = grippers(address=simulator.tcp, home_on_activate=True)
+    wait_until(lambda: client.joint_states)
+    server = ActionClient(client.node, actions.GripperCommand, f"/{client.name}/gripper/gripper_cmd")
+    assert server.wait_for_server(60)
+    goal = actions.GripperCommand.Goal()
+    goal.command.position, goal.command.max_effort = 0.0, 15.0
+    result = wait_for(wait_for(server.send_goal_async(goal)).get_result_async()).result
+    assert (result.stalled, result.reached_goal) == (True, False)
+    assert (result.position, result.effort) == (pytest.approx(0.0098, abs=3e-4), pytest.approx(15, abs=0.5))
+
+
 def test_known_width_and_lost_connection(grippers: Callable[..., Client], simulator: Simulator) -> None:
     client = grippers(address=simulator.tcp, contact_grip=False, home_on_activate=True)
     wait_until(lambda: client.joint_states)

@@ -121,25 +121,29 @@ def test_parameters_outside_their_ranges_are_refused(gripper: Client, simulator:
 
 def test_killed_gripper_is_reported_and_found_again(grippers: Callable[..., Client]) -> None:
     line = unused_address()
-    first = Simulator(tcp=line, homing_speed=400)
+    simulator = Simulator(tcp=line, homing_speed=400)
     client = grippers(address=f"tcp://{line}", home_on_activate=True)
     wait_until(lambda: client.joint_states)
-    begin = time.monotonic()
-    first.close()
-    client.wait_for_state("NO_CONNECTION")
-    assert time.monotonic() - begin < 1, "0.2 s on an idle machine"
-    count = len(client.joint_states)
-    assert client.wait_for_health("NotConnectedError").level == b"\3"
-    assert "no connection" in client.call("home")[1]
-    assert "no connection" in client.call("fast_stop")[1]
-    begin = time.monotonic()
-    with Simulator(tcp=line) as second:
+    reported, returned = [], []
+    for _ in range(4):
+        begin = time.monotonic()
+        simulator.close()
+        client.wait_for_state("NO_CONNECTION")
+        reported.append(time.monotonic() - begin)
+        count = len(client.joint_states)
+        assert client.wait_for_health("NotConnectedError").level == b"\3"
+        assert "no connection" in client.call("home")[1] and "no connection" in client.call("fast_stop")[1]
+        begin = time.monotonic()
+        simulator = Simulator(tcp=line, homing_speed=400)
+        client.wait_for_state("IDLE")
+        returned.append(time.monotonic() - begin)
         client.wait_for_health("not referenced")
-        assert time.monotonic() - begin < 3, "2 s on an idle machine"
-        assert second.observe().speed == 0, "no motion after a reconnect"
+        assert simulator.observe().speed == 0, "no motion after a reconnect"
         assert len(client.joint_states) == count, "no position without a reference"
         client.ok("home")
         wait_until(lambda: len(client.joint_states) > count)
+    simulator.close()
+    assert min(reported) < 0.2 and min(returned) < 2, (reported, returned)
 
 
 def test_deactivation_stops_a_motion_and_keeps_a_part(gripper: Client, simulator: Simulator) -> None:

@@ -169,6 +169,8 @@ class Link:
                 self._changed.notify_all()
         try:
             self.wait()
+            if opener is not None and not self.is_streaming:
+                raise StreamEndedError("the stream has ended at once; the log has the reason")
         except GripperError:
             # No stream may open later.
             self._wanted = self._requests
@@ -186,9 +188,8 @@ class Link:
     def is_streaming(self) -> bool:
         return isinstance(self._source, Stream)
 
-    @property
     def gripper(self) -> Gripper:
-        """The driver for requests. Raises ``NotConnectedError``, and ``BusyError`` while set-points are streamed."""
+        """Return the driver for requests. Raises ``NotConnectedError``, and ``BusyError`` while set-points are streamed."""
         source = self.source
         if isinstance(source, Stream):
             raise BusyError("set-points are streamed: deactivate the node, or set the parameter mode to request")

@@ -176,7 +176,7 @@ class WsgGripper(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             if self._value("home_on_activate"):
-                gripper = self._connected().gripper
+                gripper = self._connected().gripper()
                 if SystemFlags.REFERENCED not in gripper.flags():
                     with self._motions.run() as run:
                         run.wait(gripper, gripper.begin_home)
@@ -322,7 +322,7 @@ class WsgGripper(LifecycleNode):
         is_streaming = link.is_streaming
         if is_streaming:
             link.stream(None)
-        yield link.gripper
+        yield link.gripper()
         if is_streaming and self._is_active:
             self._open_stream()
 
@@ -348,7 +348,7 @@ class WsgGripper(LifecycleNode):
     def _grip(self) -> str:
         speed, force, width, is_contact = map(self._value, ("speed", "force", "grip_width", "contact_grip"))
         with self._motion() as run:
-            gripper = self._connected().gripper
+            gripper = self._connected().gripper()
             if not close_on(run, gripper, width * 1000, speed * 1000, force, not is_contact):
                 raise NoPart("NO_PART: the fingers met no part")
         return "HOLDING"
@@ -357,14 +357,14 @@ class WsgGripper(LifecycleNode):
         with self._motion() as run:
             link = self._connected()
             width = self._value("release_width") * 1000 or link.source.limits.stroke
-            move_to(run, link.gripper, width, self._value("speed") * 1000)
+            move_to(run, link.gripper(), width, self._value("speed") * 1000)
 
     # Set-points
 
     def _open_stream(self) -> None:
         address, rate, speed, force = map(self._value, ("address", "joint_state_rate", "speed", "force"))
         link = self._connected()
-        link.gripper.flags()  # Without a connection, a stream that opens later would be a surprise.
+        link.gripper().flags()  # Without a connection, a stream that opens later would be a surprise.
         link.stream(lambda: Stream(address, rate, speed * 1000, force))
 
     def _follow(self, command: JointState) -> None:
@@ -392,9 +392,10 @@ class WsgGripper(LifecycleNode):
 
     def _accept(self, goal: Any) -> GoalResponse:
         try:
-            with self._motion():
-                self._connected().gripper  # noqa: B018, raises while set-points are streamed
-                self._target(goal)
+            if not self._is_active or self._motions.is_running:
+                raise GripperError("another motion is running" if self._is_active else "the node is not active")
+            self._connected().gripper()
+            self._target(goal)
         except (ValueError, GripperError) as error:
             self._note(error, "refused a goal: ")
             return GoalResponse.REJECT
@@ -407,7 +408,7 @@ class WsgGripper(LifecycleNode):
         try:
             with self._motion() as run:
                 run.tick = self._goal_tick(handle)
-                target, gripper = self._target(handle.request), self._connected().gripper
+                target, gripper = self._target(handle.request), self._connected().gripper()
                 speed = target.speed or self._value("speed") * 1000
                 if target.force is not None and target.width < gripper.width() + units.TOLERANCE:
                     is_known = not self._value("contact_grip")
