@@ -189,6 +189,11 @@ class WsgGripper(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._rest("the node was deactivated")
+        if self._link is not None and self._link.is_streaming:
+            try:
+                self._link.stream(None)
+            except GripperError as error:
+                self._note(error)
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -204,15 +209,10 @@ class WsgGripper(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _rest(self, reason: str) -> None:
-        """Stop a running motion or stream. A held part stays held."""
+        """Stop a running motion. A held part stays held."""
         self._is_active = False
         if self._motions.is_running:
             self._motions.halt_and_wait(reason)
-        if self._link is not None and self._link.is_streaming:
-            try:
-                self._link.stream(None)
-            except GripperError as error:
-                self._note(error)
 
     def end(self, reason: str) -> None:
         """Stop the fingers, abort a running goal, and announce the end of the connection."""
@@ -492,7 +492,8 @@ def main(args: Optional[list[str]] = None) -> int:
     node.end(f"{signal.Signals(number).name} was received")
     node.wait_for_result()
     is_ending.set()
-    executor.wake()
+    # A callback ends the wait of the executor, which `wake` does not.
+    executor.create_task(lambda: None)
     spinning.join()
     executor.shutdown()
     node.destroy_node()
