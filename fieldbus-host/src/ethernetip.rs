@@ -66,7 +66,8 @@ impl EthernetIpLine {
 pub struct Adapter {
     listener: TcpListener,
     sockets: Vec<UdpSocket>,
-    line: EthernetIpLine,
+    address: SocketAddrV4,
+    profile: Profile,
     network: Network,
 }
 
@@ -84,24 +85,28 @@ impl Adapter {
         let _ = SockRef::from(&listener).set_tos_v4(u32::from(DSCP[4]) << 2);
         let (network, broadcasts) = network(ip);
         let packets = udp(SocketAddrV4::new(ip, IO_PORT), false)?;
-        let _ = SockRef::from(&packets).set_tos_v4(u32::from(DSCP[1]) << 2);
+        let socket = SockRef::from(&packets);
+        let _ = socket.set_tos_v4(u32::from(DSCP[1]) << 2);
+        // Groups are of the network of this address, and no router forwards their packets.
+        let directed = socket.set_multicast_if_v4(&ip).and_then(|()| socket.set_multicast_ttl_v4(1));
+        let profile = Profile { vendor_id: line.vendor, allows_multicast: directed.is_ok(), ..PROFILE };
         let mut sockets = vec![packets, udp(address, false)?];
         for ip in broadcasts {
             sockets.push(udp(SocketAddrV4::new(ip, address.port()), true)?);
         }
-        Ok(Self { listener, sockets, line: EthernetIpLine { address, ..line }, network })
+        Ok(Self { listener, sockets, address, profile, network })
     }
 
     /// Returns the address and port for messages.
     #[must_use]
     pub const fn address(&self) -> SocketAddrV4 {
-        self.line.address
+        self.address
     }
 
     /// Serves an adapter with this serial number until the future is dropped, in a [`LocalSet`](tokio::task::LocalSet).
     pub async fn serve(self, serial_number: u32, owner: impl Owner + 'static) {
-        let Self { listener, sockets, line, network } = self;
-        let profile = Profile { vendor_id: line.vendor, serial_number, ..PROFILE };
+        let Self { listener, sockets, network, profile, .. } = self;
+        let profile = Profile { serial_number, ..profile };
         let shared = Rc::new(Shared {
             station: RefCell::new(Station::new(profile, network, owner)),
             changed: Notify::new(),
@@ -140,10 +145,11 @@ fn udp(address: SocketAddrV4, is_shared: bool) -> Result<UdpSocket> {
 }
 
 /// Returns the interface with this address, and its addresses for broadcasts. Linux delivers these to sockets that are bound to
-/// them, Windows to the address itself. Elsewhere, broadcasts are not received, and mask and Ethernet address are unknown.
+/// them, Windows to the address itself. Elsewhere, broadcasts are not received, and mask and Ethernet address are unknown. The speed
+/// is unknown: it may change at any time.
 fn network(address: Ipv4Addr) -> (Network, Vec<Ipv4Addr>) {
     let (mask, mac, broadcasts) = interface(address).unwrap_or((Ipv4Addr::BROADCAST, [0; 6], Vec::new()));
-    (Network { address, mask, gateway: Ipv4Addr::UNSPECIFIED, mac, speed: 100 }, broadcasts)
+    (Network { address, mask, gateway: Ipv4Addr::UNSPECIFIED, mac, speed: 0 }, broadcasts)
 }
 
 /// Returns mask, Ethernet address and addresses for broadcasts.
@@ -298,7 +304,7 @@ impl<O: Owner> Station<O> {
             match event {
                 Event::Connected => self.owner.note(format_args!("a controller has connected")),
                 // Each packet of a running controller is one image; see `receive_packet`.
-                Event::Outputs { .. } => {}
+                Event::Outputs => {}
                 Event::Idle => {
                     self.owner.note(format_args!("the controller is idle"));
                     self.end_outputs();

@@ -56,7 +56,11 @@ fn keep_alive(stream: &TcpStream) -> io::Result<()> {
         .with_time(KEEP_ALIVE_AFTER)
         .with_interval(KEEP_ALIVE_INTERVAL)
         .with_retries(KEEP_ALIVE_RETRIES);
-    SockRef::from(stream).set_tcp_keepalive(&keep_alive)
+    let socket = SockRef::from(stream);
+    // Probes are sent only while the client has acknowledged everything.
+    #[cfg(target_os = "linux")]
+    socket.set_tcp_user_timeout(Some(KEEP_ALIVE_AFTER + KEEP_ALIVE_RETRIES * KEEP_ALIVE_INTERVAL))?;
+    socket.set_tcp_keepalive(&keep_alive)
 }
 
 // Windows accepts these times but does not report them.
@@ -78,5 +82,7 @@ mod tests {
         assert_eq!(socket.tcp_keepalive_time().unwrap(), KEEP_ALIVE_AFTER);
         assert_eq!(socket.tcp_keepalive_interval().unwrap(), KEEP_ALIVE_INTERVAL);
         assert_eq!(socket.tcp_keepalive_retries().unwrap(), KEEP_ALIVE_RETRIES);
+        #[cfg(target_os = "linux")]
+        assert_eq!(socket.tcp_user_timeout().unwrap(), Some(Duration::from_secs(90)));
     }
 }

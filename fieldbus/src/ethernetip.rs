@@ -29,6 +29,7 @@ pub const PROFILE: Profile = Profile {
     listen_only: 153,
     register_class: Some(0x64),
     min_interval_us: 2_000,
+    allows_multicast: true,
 };
 const _: () = assert!(PROFILE.is_valid());
 

@@ -27,6 +27,7 @@ mod tcp;
 mod thread;
 mod udp;
 
+pub use control::serve_read_only;
 pub use fieldbus_host::ethernetip::EthernetIpLine;
 pub use fieldbus_host::profinet::ProfinetLine;
 pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};

@@ -86,16 +86,12 @@ fn commands() -> Result<()> {
 /// Measures a gateway whose masters have left.
 fn idle() -> Result<()> {
     let grippers = (0..GRIPPERS).map(|_| serve()).collect::<Result<Vec<_>>>()?;
-    let file = std::env::temp_dir().join(format!("wsg-gateway-figures-{}.toml", std::process::id()));
     let mut text = String::new();
     for gripper in &grippers {
         let address = gripper.tcp_address().context("it has a port")?;
         text += &format!("[[gripper]]\ngripper = \"tcp://{address}\"\nmodbus = \"127.0.0.1:0\"\n");
     }
-    std::fs::write(&file, text)?;
-    let gateway =
-        Gateway::spawn(Gateway::with(&["--config", file.to_str().context("a path in UTF-8")?]), GRIPPERS);
-    std::fs::remove_file(&file)?;
+    let gateway = Gateway::of_config(&text, GRIPPERS);
     for port in &gateway.ports {
         until("the gripper answers", || Ok(Master::connect(*port, BOUND)?.read().is_ok()))?;
     }

@@ -1,7 +1,9 @@
 //! An EtherNet/IP scanner: the owner of an adapter, which exchanges images in cycles, and the promises that it judges.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read, Write};
+use std::mem;
 use std::net::{Ipv4Addr, SocketAddr, TcpStream, UdpSocket};
 use std::process::id;
 use std::sync::atomic::{AtomicU16, Ordering};
@@ -15,11 +17,8 @@ use wsg_sim::State;
 
 /// Time limit of every wait of [`judge`].
 const BOUND: Duration = Duration::from_secs(60);
-/// Interval of packets in both directions.
-const INTERVAL: Duration = Duration::from_millis(20);
 /// The connection ends after 128 intervals without a packet.
-const MULTIPLIER: u8 = 5;
-const TIME_OUT: Duration = Duration::from_millis(20 << (2 + MULTIPLIER));
+const TIMES: Times = Times { interval: Duration::from_millis(20), multiplier: 5 };
 /// Class, configuration, outputs and inputs of the gripper.
 const PATH: [u8; 8] = [0x20, 4, 0x24, 151, 0x2C, 150, 0x2C, 100];
 /// Connection manager.
@@ -47,6 +46,26 @@ pub enum Mode {
     Silent,
 }
 
+/// Times of a connection.
+#[derive(Clone, Copy, Debug)]
+pub struct Times {
+    /// The interval of packets in both directions.
+    pub interval: Duration,
+    /// The connection ends after 4 intervals without a packet with 0, 8 with 1, and so on.
+    pub multiplier: u8,
+}
+
+/// Counts of received packets.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Reception {
+    /// The packets of the adapter.
+    pub packets: u32,
+    /// The connections that ended without the scanner, by a time-out of either end.
+    pub time_outs: u32,
+    /// The longest time between two packets of a connection, without time-outs.
+    pub longest_gap: Duration,
+}
+
 /// A scanner. It opens its connection again whenever the connection has ended. Dropping it closes the connection.
 #[derive(Debug)]
 pub struct Scanner(Arc<Shared>);
@@ -54,6 +73,7 @@ pub struct Scanner(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     address: Ipv4Addr,
+    times: Times,
     state: Mutex<Cycle>,
     changed: Condvar,
 }
@@ -65,6 +85,7 @@ struct Cycle {
     /// The packets since the last change of outputs or mode.
     sent: u32,
     received: u32,
+    reception: Reception,
     inputs: Option<InputImage>,
     /// The extended status of the last refusal.
     refusal: Option<u16>,
@@ -72,28 +93,42 @@ struct Cycle {
 }
 
 impl Scanner {
+    /// Name of the threads.
+    pub const THREAD: &str = "scanner";
+
     /// Starts a scanner with these first outputs.
     #[must_use]
     pub fn start(address: Ipv4Addr, outputs: OutputImage) -> Self {
+        Self::with(address, outputs, TIMES)
+    }
+
+    /// Starts a scanner like [`start`](Self::start), with other times.
+    ///
+    /// # Panics
+    /// Panics when the system starts no thread.
+    #[must_use]
+    pub fn with(address: Ipv4Addr, outputs: OutputImage, times: Times) -> Self {
         let state = Cycle {
             outputs,
             mode: Mode::Run,
             sent: 0,
             received: 0,
+            reception: Reception::default(),
             inputs: None,
             refusal: None,
             is_over: false,
         };
-        let shared = Arc::new(Shared { address, state: Mutex::new(state), changed: Condvar::new() });
+        let shared = Arc::new(Shared { address, times, state: Mutex::new(state), changed: Condvar::new() });
         let cycle = Arc::clone(&shared);
-        thread::spawn(move || {
+        let run = move || {
             while !cycle.lock().is_over {
                 // An error means that the adapter does not listen, or has ended the connection.
                 if cycle.lock().mode == Mode::Silent || cycle.connect().is_err() {
-                    thread::sleep(INTERVAL);
+                    thread::sleep(times.interval);
                 }
             }
-        });
+        };
+        thread::Builder::new().name(Self::THREAD.to_owned()).spawn(run).expect("a thread");
         Self(shared)
     }
 
@@ -114,6 +149,12 @@ impl Scanner {
         self.0.lock().inputs = None;
         self.wait(at_most, |state| state.inputs.is_some());
         self.0.lock().inputs
+    }
+
+    /// Returns the counts since the last call.
+    #[must_use]
+    pub fn take_reception(&self) -> Reception {
+        mem::take(&mut self.0.lock().reception)
     }
 
     /// Returns the extended status of a refusal, within this time.
@@ -159,11 +200,7 @@ impl Shared {
         // Serial number of the connection, vendor and serial number of the scanner.
         let triad = [&serial[..], &[0x34, 0x12], &id().to_le_bytes()].concat();
         let own_id = [serial[0], serial[1], 7, 7];
-        let interval = (INTERVAL.as_micros() as u32).to_le_bytes();
-        // Point to point, fixed, 14 bytes.
-        let direction = [&interval[..], &[14, 0x48]].concat();
-        let open = [&[0x54, 2][..], &MANAGER, &[0x0A, 0xF0, 0, 0, 0, 0], &own_id, &triad].concat();
-        let open = [&open[..], &[MULTIPLIER, 0, 0, 0], &direction, &direction, &[1, 4], &PATH].concat();
+        let open = forward_open(own_id, &triad, [[14, 0x48]; 2], self.times, 150);
         let port = udp.local_addr()?.port().to_be_bytes();
         let target = [&[1, 0x80, 16, 0, 0, 2][..], &port, &[0; 12]].concat();
         let answer = session.ask(&open, &target)?;
@@ -173,17 +210,19 @@ impl Shared {
             self.changed.notify_all();
             return Err(ErrorKind::ConnectionRefused.into());
         }
-        self.exchange(&udp, &id[..4], own_id)?;
+        self.exchange(&udp, &id[..4], own_id).inspect_err(|_| self.lock().reception.time_outs += 1)?;
         session.ask(&[&[0x4E, 2][..], &MANAGER, &[0x0A, 0xF0], &triad, &[4, 0], &PATH].concat(), &[])?;
         Ok(())
     }
 
     /// Exchanges packets until the scanner ends.
     fn exchange(&self, udp: &UdpSocket, id: &[u8], own_id: [u8; 4]) -> io::Result<()> {
-        let (mut received_at, mut sequence) = (Instant::now(), 0_u32);
+        let (mut received_at, mut next, mut sequence) = (Instant::now(), Instant::now(), 0_u32);
         let adapter = SocketAddr::from((self.address, 2_222));
         loop {
-            let next = Instant::now() + INTERVAL;
+            let now = Instant::now();
+            // After a pause, the scanner receives before it sends again.
+            next = if next + self.times.interval > now { next } else { now } + self.times.interval;
             let [discards_outputs, discards_inputs] = discards(self.address);
             let mut state = self.lock();
             if state.is_over {
@@ -204,14 +243,16 @@ impl Shared {
                 let mut packet = [0; 64];
                 let Ok((32, from)) = uninterrupted::recv_from(udp, &mut packet) else { continue };
                 if from == adapter && packet[6..10] == own_id && !discards_inputs {
-                    received_at = Instant::now();
                     let mut state = self.lock();
+                    state.reception.packets += 1;
+                    state.reception.longest_gap = state.reception.longest_gap.max(received_at.elapsed());
+                    received_at = Instant::now();
                     state.inputs = packet[20..].first_chunk().map(|bytes| InputImage::from_bytes(*bytes));
                     state.received += u32::from(state.sent > 0);
                     self.changed.notify_all();
                 }
             }
-            if received_at.elapsed() > TIME_OUT {
+            if received_at.elapsed() > self.times.interval * (4 << self.times.multiplier) {
                 return Err(ErrorKind::TimedOut.into());
             }
         }
@@ -233,6 +274,23 @@ fn discards(address: Ipv4Addr) -> [bool; 2] {
 pub fn discard(address: Ipv4Addr, direction: usize, discards: bool) {
     let mut discarded = DISCARDED.lock().unwrap_or_else(PoisonError::into_inner);
     discarded.entry(address).or_default()[direction] = discards;
+}
+
+/// Returns a Forward_Open: identifier of the inputs, the connection, size and kind of both directions, its times, and the
+/// connection point of the outputs.
+fn forward_open(
+    own_id: [u8; 4],
+    triad: &[u8],
+    [outputs, inputs]: [[u8; 2]; 2],
+    Times { interval, multiplier }: Times,
+    point: u8,
+) -> Vec<u8> {
+    let interval = (interval.as_micros() as u32).to_le_bytes();
+    let open = [&[0x54, 2][..], &MANAGER, &[0x0A, 0xF0, 0, 0, 0, 0], &own_id, triad].concat();
+    let open =
+        [&open[..], &[multiplier, 0, 0, 0], &interval, &outputs, &interval, &inputs, &[1, 4], &PATH[..5]]
+            .concat();
+    [&open[..], &[point], &PATH[6..]].concat()
 }
 
 /// A session for explicit messages.
@@ -299,12 +357,59 @@ fn outputs(flags: Flag) -> OutputImage {
     OutputImage { flags, user: 0, width: TARGET, speed: 5_00, force_limit: 40_00 }
 }
 
+/// Waits until a condition holds.
+///
+/// # Panics
+/// Panics after 60 s.
 #[track_caller]
-fn until(what: &str, holds: impl Fn() -> bool) {
+pub fn until(what: &str, holds: impl Fn() -> bool) {
     let start = Instant::now();
     while !holds() {
         assert!(start.elapsed() < BOUND, "time-out: {what}");
         thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Judges the inputs that an adapter with an owner sends to a group: once for all that only watch.
+fn judge_multicast(address: Ipv4Addr, inputs: &InputImage) {
+    let open = |serial: u8, times: Times, point: u8| {
+        let triad = [&[serial, 0, 0x35, 0x12][..], &id().to_le_bytes()].concat();
+        let open = forward_open([7; 4], &triad, [[2, 0x48], [14, 0x28]], times, point);
+        Session::open(address).and_then(|mut it| it.ask(&open, &[])).expect("the adapter answers")
+    };
+    let config = explicit(address, GET, [0xF5, 1, 9], &[]).expect("the group is readable");
+    let [0, 0, 1, 0, d, c, b, a] = config[..] else { panic!("{config:?}") };
+    let group = Ipv4Addr::new(a, b, c, d);
+    // A test of another process may have the same group.
+    let udp = OnceCell::new();
+    until("the group's port is free", || {
+        UdpSocket::bind((group, 2_222)).is_ok_and(|socket| udp.set(socket).is_ok())
+    });
+    let udp = udp.into_inner().expect("a socket");
+    udp.join_multicast_v4(&group, &address).expect("the group is on the adapter's interface");
+    udp.set_read_timeout(Some(BOUND)).expect("a time-out");
+    let [input_only, listen_only] = [152, 153].map(|point| open(point, TIMES, point));
+    assert_eq!(input_only[..4], [0xD4, 0, 0, 0], "{input_only:?}");
+    assert_eq!(input_only[8..12], listen_only[8..12], "a second production");
+    assert_eq!(
+        open(1, Times { interval: 2 * TIMES.interval, ..TIMES }, 152)[..6],
+        [0xD4, 0, 1, 1, 0x12, 0x01],
+        "another interval"
+    );
+    let mut packets = (0..).map_while(|_| {
+        let mut packet = [0; 64];
+        let (len, from) = uninterrupted::recv_from(&udp, &mut packet).ok()?;
+        Some((from, packet[..len].to_vec()))
+    });
+    let mut last = None;
+    for _ in 0..10 {
+        let is_of_adapter = |(from, packet): &(SocketAddr, Vec<u8>)| {
+            *from == SocketAddr::from((address, 2_222)) && packet[6..10] == input_only[8..12]
+        };
+        let (_, packet) = packets.find(is_of_adapter).expect("inputs arrive");
+        assert_eq!(packet[20..], inputs.to_bytes());
+        let sequence = packet[10..14].first_chunk().copied().map(u32::from_le_bytes).expect("four bytes");
+        assert!(last.replace(sequence).is_none_or(|last| sequence == last + 1), "{last:?} {sequence}");
     }
 }
 
@@ -345,6 +450,7 @@ pub fn judge(address: Ipv4Addr, state: &dyn Fn() -> State) {
     until("the gripper is connected", || read().status != Status::IoError);
     starts_nothing("the first image");
     assert!(!has(SystemFlags::REFERENCED));
+    judge_multicast(address, &read());
     assert_eq!(command(outputs(Flag::HOMING)), (GripperFlags::IDLE, Status::Success));
     let grip = OutputImage { width: 20_00, speed: 400_00, ..outputs(Flag::GRIP) };
     assert_eq!(command(grip), (GripperFlags::HOLDING, Status::Success));

@@ -1,9 +1,12 @@
 //! `wsg gateway` as a process, for tests with masters of Modbus/TCP.
 
+use std::env::temp_dir;
+use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Stdio, id};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -18,6 +21,8 @@ pub struct Gateway {
     pub modbus: SocketAddr,
     /// The same address of each gripper.
     pub ports: Vec<SocketAddr>,
+    /// Address of the status page, if the gateway has one.
+    pub page: Option<SocketAddr>,
 }
 
 impl Gateway {
@@ -60,6 +65,23 @@ impl Gateway {
         command
     }
 
+    /// Starts a gateway with the text of a configuration file, for a number of grippers.
+    ///
+    /// # Panics
+    /// Panics when the file cannot be written, `wsg` is not built, or prints fewer addresses.
+    #[must_use]
+    pub fn of_config(text: &str, grippers: usize) -> Self {
+        static FILES: AtomicUsize = AtomicUsize::new(0);
+        let number = FILES.fetch_add(1, Ordering::Relaxed);
+        let file = temp_dir().join(format!("wsg-gateway-{}-{number}.toml", id()));
+        fs::write(&file, text).expect("the file is writable");
+        let gateway =
+            Self::spawn(Self::with(&["--config", file.to_str().expect("a path in UTF-8")]), grippers);
+        // The gateway reads its configuration only at the start.
+        let _ = fs::remove_file(&file);
+        gateway
+    }
+
     /// Runs a command that starts a gateway for a number of grippers.
     ///
     /// # Panics
@@ -68,12 +90,16 @@ impl Gateway {
     pub fn spawn(mut command: Command, grippers: usize) -> Self {
         let mut process = command.spawn().expect("wsg starts");
         let lines = BufReader::new(process.stdout.take().expect("stdout is piped")).lines();
-        let ports = lines
-            .map_while(Result::ok)
-            .filter_map(|line| line.strip_prefix("modbus   ")?.split(',').next()?.parse().ok());
+        let mut page = None;
+        let ports = lines.map_while(Result::ok).filter_map(|line| {
+            let url =
+                line.strip_prefix("page     http://").and_then(|url| url.trim_end_matches('/').parse().ok());
+            page = page.or(url);
+            line.strip_prefix("modbus   ")?.split(',').next()?.parse().ok()
+        });
         let ports: Vec<_> = ports.take(grippers).collect();
         assert_eq!(ports.len(), grippers, "the gateway prints an address for each gripper");
-        Self { process, modbus: ports[0], ports }
+        Self { process, modbus: ports[0], ports, page }
     }
 
     /// Kills the process, and returns its messages. Call this once.

@@ -35,7 +35,7 @@
 //! | [`mcp2515`] | model of the SPI CAN controller, per its data sheet |
 //! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
 //! | [`modbus_tcp`] | a master of Modbus/TCP |
-//! | `namespaces` | network namespaces for PROFINET, on Linux |
+//! | `namespaces` | network namespaces with cables between them, on Linux |
 //! | [`plc_names`] | names of flags, states and status codes, for the documents |
 //! | `promises` | the promises of the bridge, judged from outside |
 //! | [`registers`] | models of peripherals that QEMU lacks |

@@ -24,7 +24,7 @@ impl Master {
     /// # Errors
     /// Returns the error of the socket.
     pub fn connect(server: SocketAddr, timeout: Duration) -> io::Result<Self> {
-        let stream = TcpStream::connect(server)?;
+        let stream = TcpStream::connect_timeout(&server, timeout)?;
         stream.set_nodelay(true)?;
         stream.set_read_timeout(Some(timeout))?;
         Ok(Self { stream, unit: 0xFF })

@@ -1,4 +1,4 @@
-//! Network namespaces connected by a virtual cable: one for a gripper on PROFINET, one for its controller.
+//! Network namespaces connected by virtual cables: one for a gripper, one for its controller.
 //!
 //! They require root, and `ip`, `tc` and `chrt` of Debian.
 
@@ -14,14 +14,16 @@ use crate::masters::printed;
 
 static NETWORKS: AtomicU16 = AtomicU16::new(0);
 
-/// An end of the cable, the interface `eth0` of a namespace.
+/// An end of the cables. The first cable, for PROFINET, connects the interfaces `eth0` of both namespaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The end without an address.
+    /// The end of `eth0` without an address.
     Gripper,
-    /// The end with the address 192.168.7.1/24.
+    /// The end of `eth0` with the address 192.168.7.1/24.
     Controller,
 }
+
+const ENDS: [End; 2] = [End::Gripper, End::Controller];
 
 /// Two connected namespaces, which are deleted on drop.
 #[derive(Debug)]
@@ -38,20 +40,39 @@ impl Network {
     #[expect(clippy::new_without_default, reason = "it creates namespaces")]
     pub fn new() -> Self {
         let network = Self { number: NETWORKS.fetch_add(1, Ordering::Relaxed) };
-        let (gripper, controller) = (&network.namespace(End::Gripper), &network.namespace(End::Controller));
-        for command in [
-            format!("netns add {gripper}"),
-            format!("netns add {controller}"),
-            format!("link add eth0 netns {gripper} type veth peer eth0 netns {controller}"),
-            format!("-n {gripper} link set eth0 up"),
-            format!("-n {gripper} link set lo up"),
-            format!("-n {controller} link set eth0 up"),
-            format!("-n {controller} link set lo up"),
-            format!("-n {controller} address add 192.168.7.1/24 dev eth0"),
-        ] {
-            run("ip", &command);
+        for end in ENDS {
+            run("ip", &format!("netns add {}", network.namespace(end)));
+            network.plug(end, "lo", true);
         }
+        network.add_cable("eth0", &[(End::Controller, "192.168.7.1")]);
         network
+    }
+
+    /// Connects interfaces of this name at both ends, and gives them addresses.
+    ///
+    /// # Panics
+    /// Panics without `ip` or without the rights that it needs.
+    pub fn add_cable(&self, interface: &str, addresses: &[(End, &str)]) {
+        let [gripper, controller] = ENDS.map(|end| self.namespace(end));
+        run(
+            "ip",
+            &format!("link add {interface} netns {gripper} type veth peer {interface} netns {controller}"),
+        );
+        for end in ENDS {
+            self.plug(end, interface, true);
+        }
+        for (end, address) in addresses {
+            run("ip", &format!("-n {} address add {address}/24 dev {interface}", self.namespace(*end)));
+        }
+    }
+
+    /// Plugs a cable into an interface at this end, or pulls it out.
+    ///
+    /// # Panics
+    /// Panics without `ip`.
+    pub fn plug(&self, end: End, interface: &str, is_plugged: bool) {
+        let state = if is_plugged { "up" } else { "down" };
+        run("ip", &format!("-n {} link set {interface} {state}", self.namespace(end)));
     }
 
     /// Returns the number of this network in this program.
@@ -66,12 +87,12 @@ impl Network {
         namespace(self.number, end)
     }
 
-    /// Runs `act` in the gripper's namespace. Threads that it starts inherit the namespace.
+    /// Runs `act` in the namespace at this end. Threads and processes that it starts inherit the namespace.
     ///
     /// # Panics
     /// Panics if `act` does, or without the right to enter the namespace.
-    pub fn at_gripper<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
-        let namespace = File::open(format!("/run/netns/{}", self.namespace(End::Gripper)));
+    pub fn at<T: Send>(&self, end: End, act: impl FnOnce() -> T + Send) -> T {
+        let namespace = File::open(format!("/run/netns/{}", self.namespace(end)));
         let namespace = namespace.expect("a namespace has a file");
         let enter_and_act = || {
             move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network))
@@ -107,7 +128,7 @@ impl Network {
 
 impl Drop for Network {
     fn drop(&mut self) {
-        for end in [End::Gripper, End::Controller] {
+        for end in ENDS {
             let _ = Command::new("ip").args(["netns", "delete", &self.namespace(end)]).output();
         }
     }
@@ -127,8 +148,16 @@ pub fn at_controller(network: u16, program: &str) -> Command {
 /// # Panics
 /// Panics if the program's threads cannot be listed.
 pub fn prioritize_grippers() {
+    prioritize_threads("wsg-sim");
+}
+
+/// Gives real-time priority to the threads of this program with this name.
+///
+/// # Panics
+/// Panics if the program's threads cannot be listed.
+pub fn prioritize_threads(name: &str) {
     for task in fs::read_dir("/proc/self/task").expect("a list of threads").map_while(Result::ok) {
-        if fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "wsg-sim\n") {
+        if fs::read_to_string(task.path().join("comm")).is_ok_and(|comm| comm.trim_end() == name) {
             prioritize(&task.file_name().to_string_lossy());
         }
     }

@@ -27,7 +27,7 @@ use wsg_sim::text::{self, one_line};
 
 use crate::print_error;
 
-use self::client::Client;
+use self::client::{Client, GatewayAddress};
 pub(crate) use self::state::State;
 
 /// Monitors and configures a bridge over its service port (the USB connector of its board), or a gateway; never moves the fingers
@@ -204,8 +204,8 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
 }
 
 /// Reads a gateway at `HOST:PORT`: its bridge, and the registers of its reports on itself.
-pub(crate) fn read_gateway(host: &str) -> Result<(State, Vec<u16>)> {
-    let mut client = Client::open(&format!("tcp://{host}"))?;
+pub(crate) fn read_gateway(gateway: &GatewayAddress) -> Result<(State, Vec<u16>)> {
+    let mut client = Client::open(&format!("tcp://{gateway}"))?;
     let reports = client.gateway_reports().context("it has no reports of a gateway of this release")?;
     Ok((read(&mut client)?, reports))
 }

@@ -9,12 +9,14 @@ mod bridge;
 mod config;
 mod line;
 mod master;
-mod profinet;
+mod page;
 #[cfg(unix)]
-mod serial;
+mod port;
+mod profinet;
 mod service;
 mod status;
 
+use std::cell::RefCell;
 use std::io::{self, Write};
 use std::net::{SocketAddr, SocketAddrV4};
 use std::panic;
@@ -31,15 +33,20 @@ use tokio::task::{JoinSet, LocalSet};
 use wsg_bridge_fw::gripper::BAUD;
 use wsg_sim::text::one_line;
 
+use crate::bridge::client::GatewayAddress;
 use crate::gripper::{Address, Signals};
-use crate::listen_address;
+use crate::{listen_address, print_error};
 use bridge::Gateway;
 use config::GripperConfig;
 use master::{Master, Port};
+use page::Shown;
 use profinet::{Profinet, serve_adapter};
 
 /// Lowest rate of a board's CAN bus in kbit/s.
 const MIN_KBIT: u16 = 125;
+
+/// Exit status after a mistake in the configuration, as after one in the command line. systemd does not restart the service then.
+const MISCONFIGURED: u8 = 2;
 
 /// Connects PLCs on Modbus/TCP, PROFINET or EtherNet/IP to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
@@ -49,7 +56,7 @@ const MIN_KBIT: u16 = 125;
     disable_help_subcommand = true
 )]
 #[command(override_usage = "\
-wsg gateway --gripper <ADDRESS> <--modbus <ADDR>|--profinet <INTERFACE>|--ethernetip <ADDR>> [--settings <FILE>]
+wsg gateway --gripper <ADDRESS> <--modbus <ADDR>|--profinet <INTERFACE>|--ethernetip <ADDR>> [--settings <FILE>] [--page <ADDR>]
        wsg gateway --config <FILE> [--check-config]
        wsg gateway status [--json] <ADDR>...")]
 pub(crate) struct Arguments {
@@ -73,8 +80,11 @@ enum Task {
 struct Serving {
     #[command(flatten)]
     options: Options,
+    /// Address of a page for browsers that shows the status, such as 127.0.0.1:8080. It has no commands
+    #[arg(long, value_name = "ADDR", value_parser = listen_address)]
+    page: Option<SocketAddr>,
     /// TOML file with one or more grippers, instead of the options for one
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["modbus", "profinet", "ethernetip", "settings"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["modbus", "profinet", "ethernetip", "settings", "page"])]
     config: Option<PathBuf>,
     /// Check the file and print its grippers, without opening a port
     #[arg(long, conflicts_with = "gripper")]
@@ -105,6 +115,16 @@ struct Options {
     settings: Option<PathBuf>,
 }
 
+impl Serving {
+    /// Returns the grippers of the options or of the file, and the address of the page.
+    fn read(&self) -> Result<(Vec<GripperConfig>, Option<SocketAddr>)> {
+        match &self.config {
+            Some(file) => config::read(file),
+            None => Ok((vec![GripperConfig::new(&self.options)?], self.page)),
+        }
+    }
+}
+
 /// Parses the address of a gripper that a gateway can command. A line must be as fast as a board's, for its times to hold.
 fn gripper_address(text: &str) -> Result<Address, String> {
     match text.parse()? {
@@ -119,8 +139,10 @@ fn gripper_address(text: &str) -> Result<Address, String> {
         Address::Serial { .. } | Address::Slcan { .. } => {
             Err("a gateway uses no serial port on this system; expected tcp:// or udp://".to_owned())
         }
+        address @ Address::SocketCan { .. } if cfg!(target_os = "linux") => Ok(address),
+        Address::SocketCan { .. } => Err("SocketCAN requires Linux; expected tcp:// or udp://".to_owned()),
         Address::Gcl { .. } | Address::GclUdp { .. } => {
-            Err("a gateway uses the binary protocol, not GCL; expected tcp://, udp://, serial: or slcan:"
+            Err("a gateway uses the binary protocol, not GCL; expected tcp://, udp://, serial:, slcan: or socketcan:"
                 .to_owned())
         }
     }
@@ -137,13 +159,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     if let Some(Task::Status(arguments)) = task {
         return status::run(arguments);
     }
-    let grippers = match &serving.config {
-        Some(file) => config::read(file)?,
-        None => vec![GripperConfig::new(&serving.options)?],
-    };
     end_with_any_panic();
     let signals = Signals::catch()?;
-    let served = Served::open(grippers)?;
+    let served = match serving.read().and_then(|(grippers, page)| Served::open(grippers, page)) {
+        Ok(served) => served,
+        Err(error) => {
+            print_error(format_args!("{error:#}"));
+            return Ok(MISCONFIGURED);
+        }
+    };
     if serving.check_config {
         io::stdout().write_all(served.addresses().as_bytes())?;
         return Ok(0);
@@ -168,11 +192,12 @@ fn end_with_any_panic() {
 struct Served {
     grippers: Vec<(GripperConfig, Rc<Gateway>)>,
     ports: Vec<Port>,
+    page: Option<SocketAddr>,
 }
 
 impl Served {
     /// Starts the bridges. Opens no port.
-    fn open(configs: Vec<GripperConfig>) -> Result<Self> {
+    fn open(configs: Vec<GripperConfig>, page: Option<SocketAddr>) -> Result<Self> {
         let (mut grippers, mut ports) = (Vec::<(GripperConfig, Rc<Gateway>)>::new(), Vec::<Port>::new());
         for config in configs {
             let other = grippers.iter().find(|(other, _)| config.shares_port(other));
@@ -192,12 +217,12 @@ impl Served {
             };
             grippers.push((config, gateway));
         }
-        Ok(Self { grippers, ports })
+        Ok(Self { grippers, ports, page })
     }
 
-    /// Returns the addresses of each gripper, each in a line.
+    /// Returns the addresses of page and grippers, each in a line.
     fn addresses(&self) -> String {
-        let mut text = String::new();
+        let mut text = self.page.map(|page| format!("page     http://{page}/\n")).unwrap_or_default();
         for (config, gateway) in &self.grippers {
             let name = config.name.as_ref().map(|name| format!(" ({})", one_line(name))).unwrap_or_default();
             text += &format!("gripper  {}{name}\n", config.gripper);
@@ -221,12 +246,12 @@ impl Served {
         self.together(|gateway| async move { gateway.settle(settling).await }).await?;
         let mut listeners = Vec::new();
         for port in &mut self.ports {
-            let listener = TcpListener::bind(port.address).await;
-            let listener =
-                listener.with_context(|| format!("Modbus/TCP cannot listen on {}", port.address))?;
-            port.address = listener.local_addr()?;
-            listeners.push(listener);
+            listeners.push(listen("Modbus/TCP", &mut port.address).await?);
         }
+        let page = match &mut self.page {
+            Some(address) => Some(listen("the page", address).await?),
+            None => None,
+        };
         let mut tasks = JoinSet::new();
         for (config, gateway) in &mut self.grippers {
             if let Some(line) = config.profinet.clone() {
@@ -241,6 +266,9 @@ impl Served {
         let addresses = self.addresses();
         io::stdout().write_all(addresses.as_bytes())?;
         service::ready(&addresses.split_whitespace().collect::<Vec<_>>().join(" "));
+        if let Some(listener) = page {
+            tasks.spawn_local(page::serve(listener, self.shown()));
+        }
         for (port, listener) in std::mem::take(&mut self.ports).into_iter().zip(listeners) {
             let port = Rc::new(port);
             tasks.spawn_local(async move {
@@ -268,6 +296,20 @@ impl Served {
         self.together(|gateway| async move { gateway.end().await }).await
     }
 
+    /// Returns the grippers for the page.
+    fn shown(&self) -> Vec<Shown> {
+        let shown = self.grippers.iter().map(|(config, gateway)| {
+            let port = self.ports.iter().find(|port| port.serves(gateway));
+            let address = port.map_or(config.gripper.to_string(), |port| {
+                GatewayAddress::new(port.address, config.unit).to_string()
+            });
+            let name = config.name.as_ref().map(|name| format!("{}, ", one_line(name))).unwrap_or_default();
+            let heading = name + &address;
+            Shown { heading, address, gateway: Rc::clone(gateway), latest: RefCell::default() }
+        });
+        shown.collect()
+    }
+
     /// Runs a future for each gripper, all at the same time, until all have ended.
     async fn together<F: Future<Output = ()> + 'static>(&self, run: impl Fn(Rc<Gateway>) -> F) -> Result<()> {
         let mut tasks = JoinSet::new();
@@ -279,4 +321,12 @@ impl Served {
         }
         Ok(())
     }
+}
+
+/// Opens a port, and sets its number if the system chooses it.
+async fn listen(what: &str, address: &mut SocketAddr) -> Result<TcpListener> {
+    let listener = TcpListener::bind(*address).await;
+    let listener = listener.with_context(|| format!("{what} cannot listen on {address}"))?;
+    *address = listener.local_addr()?;
+    Ok(listener)
 }

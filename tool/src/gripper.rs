@@ -3,6 +3,7 @@
 mod action;
 mod address;
 mod answer;
+pub(crate) mod can;
 mod doctor;
 mod editor;
 mod line;
@@ -12,7 +13,6 @@ mod prompt;
 mod record;
 mod run;
 mod signals;
-pub(crate) mod slcan;
 mod trouble;
 mod watch;
 pub(crate) mod wire;

@@ -2,6 +2,8 @@
 //! lines are tested with the other ways in to a gripper: `host-tests/tests/surfaces`.
 #![cfg(unix)]
 
+#[path = "gateway/page.rs"]
+mod page;
 #[path = "common/program.rs"]
 mod program;
 
@@ -11,11 +13,12 @@ use std::io::{self, Read};
 use std::mem;
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
 use std::panic::panic_any;
 use std::path::PathBuf;
 use std::process::id;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering, Ordering::Relaxed};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
@@ -24,10 +27,10 @@ use document::read;
 use host_tests::ethernetip;
 use host_tests::gateway::{self, Gateway, Moved};
 use host_tests::modbus_tcp;
+use host_tests::terminal::Terminal;
 use program::{printed, wsg};
-use rustix::fs::{CWD, Mode, OFlags, fcntl_setfl, mkfifoat};
+use rustix::fs::{CWD, Mode, mkfifoat};
 use rustix::process::{Pid, Signal, kill_process};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
 use serial2::SerialPort;
 use wsg_bridge_fw::registers::{COMMAND_KEY, FIRST_COMMAND};
@@ -66,8 +69,8 @@ struct Rig {
     /// Address of the first gripper on TCP.
     address: SocketAddr,
     gateway: Gateway,
-    /// How often the line between both was cut or mended.
-    cuts: Arc<AtomicUsize>,
+    /// How often the line between both was cut or mended. Locked while the line carries bytes.
+    cuts: Arc<Mutex<usize>>,
     _folder: Option<Folder>,
 }
 
@@ -93,13 +96,14 @@ impl Rig {
         Self { grippers, address, gateway, cuts: Arc::default(), _folder: folder }
     }
 
-    /// Starts a gateway with two grippers on one port, units 1 and 2.
+    /// Starts a gateway with a page, and with two grippers on one port, units 1 and 2.
     fn of_two() -> Self {
         let grippers = [(); 2].map(|()| serve("127.0.0.1:0".parse().unwrap()));
         let address = |gripper: &ServerThread| gripper.tcp_address().unwrap();
         let [left, right] = [address(&grippers[0]), address(&grippers[1])];
         let folder = Folder::with(&format!(
-            "[[gripper]]\ngripper = \"tcp://{left}\"\nmodbus = \"127.0.0.1:0\"\nunit = 1\n\
+            "page = \"127.0.0.1:0\"\n\
+             [[gripper]]\ngripper = \"tcp://{left}\"\nmodbus = \"127.0.0.1:0\"\nunit = 1\n\
              [[gripper]]\nname = \"right\"\ngripper = \"tcp://{right}\"\nmodbus = \"127.0.0.1:0\"\nunit = 2\n\
              [gripper.delivered]\nBUS_TIMEOUT = 2500\n"
         ));
@@ -108,6 +112,11 @@ impl Rig {
 
     fn gripper(&self) -> &ServerThread {
         &self.grippers[0]
+    }
+
+    /// Cuts or mends the line. None of its bytes moves later.
+    fn cut_or_mend(&self) {
+        *self.cuts.lock().unwrap() += 1;
     }
 
     fn restart_gripper(&mut self) {
@@ -211,7 +220,7 @@ fn unpaused(test: impl Fn(&mut Rig)) {
 /// Runs a test, again if the machine paused its gateway or gripper, which then disconnects. Returns the messages of the gateway.
 fn unpaused_on(start: impl Fn() -> Rig, test: impl Fn(&mut Rig)) -> String {
     let is_disturbed = |rig: &Rig, messages: &str| {
-        let silences = rig.cuts.load(Ordering::Relaxed).div_ceil(2);
+        let silences = rig.cuts.lock().unwrap().div_ceil(2);
         messages.matches(SILENT).count() > silences
     };
     gateway::unpaused(start, |rig| &mut rig.gateway, is_disturbed, test)
@@ -535,10 +544,23 @@ fn delivered_settings_apply_until_others_are_saved_and_defaults_returns_to_them(
         (&["defaults", "--yes"], "(3000 -> 2500)", true),
         (&["show", "BUS_TIMEOUT"], "2500", false),
     ] {
-        let mut gateway = folder.serve(1);
-        let output = wsg(&[&["bridge", &format!("tcp://{}", gateway.modbus)], words].concat(), b"");
-        assert!(printed(&output).contains(expected), "{}", printed(&output));
-        let messages = gateway.messages();
+        let flash = folder.0.join("flash");
+        let stored = fs::read(&flash).ok();
+        let start = || {
+            // As before a disturbed attempt.
+            let _ =
+                stored.as_ref().map_or_else(|| fs::remove_file(&flash), |stored| fs::write(&flash, stored));
+            folder.serve(1)
+        };
+        let messages = gateway::unpaused(
+            start,
+            |gateway| gateway,
+            |_, _| false,
+            |gateway| {
+                let output = wsg(&[&["bridge", &format!("tcp://{}", gateway.modbus)], words].concat(), b"");
+                assert!(printed(&output).contains(expected), "{}", printed(&output));
+            },
+        );
         let precedence =
             "flash was saved by a master and takes precedence; DEFAULTS returns to the configuration";
         assert_eq!(messages.contains(precedence), is_saved, "{words:?}: {messages}");
@@ -558,17 +580,17 @@ fn check_config_prints_the_grippers_of_the_page_and_refuses_mistakes() {
             "gripper  tcp://192.168.1.20:1000 (left)\nmodbus   192.168.1.10:502, unit 1\n\
              gripper  tcp://192.168.1.21:1000 (right)\nmodbus   192.168.1.10:502, unit 2\n",
         ),
-        ("unit = 2", "unit = 1", 1, ": another gripper has the unit 1 on 192.168.1.10:502\n"),
+        ("unit = 2", "unit = 1", 2, ": another gripper has the unit 1 on 192.168.1.10:502\n"),
         (
             "left.flash",
             "missing/left.flash",
-            1,
+            2,
             "cannot create missing/left.flash: there is no such folder\n",
         ),
         (
             "left.flash",
             "FOLDER/gateway.toml",
-            1,
+            2,
             "gateway.toml is no file with settings of a bridge; expected",
         ),
     ] {
@@ -591,7 +613,7 @@ fn configuration_of_the_service_is_refused_until_its_lines_are_enabled() {
         })
         .collect();
     for (config, status, expected) in [
-        (&shipped, 1, "no gripper"),
+        (&shipped, 2, "no gripper"),
         (&enabled, 0, "gripper  tcp://192.168.1.20:1000 (cell-1)\nmodbus   192."),
     ] {
         let folder = Folder::with(config);
@@ -628,8 +650,8 @@ struct Cable {
     address: String,
     to_gateway: OwnedFd,
     to_gripper: OwnedFd,
-    /// Keeps the terminal alive while the gateway opens and closes it.
-    _other_end: Option<SerialPort>,
+    /// The terminal that the gateway opens.
+    _terminal: Option<Terminal>,
 }
 
 impl Link {
@@ -654,27 +676,25 @@ impl Link {
                 OwnedFd::from(socket)
             });
             let address = format!("udp://127.0.0.1:{port}?answer={answer}");
-            return (server, Cable { address, to_gateway, to_gripper, _other_end: None });
+            return (server, Cable { address, to_gateway, to_gripper, _terminal: None });
         };
-        let to_gateway = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-        grantpt(&to_gateway).unwrap();
-        unlockpt(&to_gateway).unwrap();
-        fcntl_setfl(&to_gateway, OFlags::NONBLOCK).unwrap();
-        let device = ptsname(&to_gateway, Vec::new()).unwrap().into_string().unwrap();
+        let (to_gateway, line) = UnixStream::pair().unwrap();
+        to_gateway.set_nonblocking(true).unwrap();
+        let terminal = Terminal::to(line).unwrap();
         let to_gripper = SerialPort::open(path, 115_200).unwrap().into();
-        let _other_end = Some(SerialPort::open(&device, 115_200).unwrap());
-        let address = format!("{}:{device}", if self == Self::Serial { "serial" } else { "slcan" });
-        (server, Cable { address, to_gateway, to_gripper, _other_end })
+        let address = format!("{}:{}", if self == Self::Serial { "serial" } else { "slcan" }, terminal.path);
+        (server, Cable { address, to_gateway: to_gateway.into(), to_gripper, _terminal: Some(terminal) })
     }
 }
 
 impl Cable {
     /// Passes on what both ends receive until the test ends.
-    fn pass(&self, cuts: &Arc<AtomicUsize>) {
-        let mut was_cut = false;
+    fn pass(&self, cuts: &Arc<Mutex<usize>>) {
+        let mut seen = 0;
         while Arc::strong_count(cuts) > 1 {
-            let is_cut = !cuts.load(Ordering::Relaxed).is_multiple_of(2);
-            if is_cut && !mem::replace(&mut was_cut, true) {
+            let cuts = cuts.lock().unwrap();
+            let is_cut = !cuts.is_multiple_of(2);
+            if mem::replace(&mut seen, *cuts) < *cuts && is_cut {
                 // An adapter that loses power restarts with a closed channel. On other lines, this is noise.
                 rustix::io::write(&self.to_gripper, b"\rC\r").unwrap();
             }
@@ -687,9 +707,53 @@ impl Cable {
                     }
                 }
             }
+            drop(cuts);
             sleep(Duration::from_millis(1));
         }
     }
+}
+
+/// Starts a gateway with a gripper on such a line.
+fn rig_on(link: Link) -> Rig {
+    let ((gripper, cable), cuts) = (link.open(), Arc::<Mutex<usize>>::default());
+    let (address, seen) = (cable.address.clone(), Arc::clone(&cuts));
+    thread::spawn(move || cable.pass(&seen));
+    let gateway = Gateway::to(&address, &[]);
+    if link != Link::Udp {
+        until("a second program is refused", || {
+            let second = printed(&wsg(&["gripper", &address, "width"], b""));
+            second.contains("another program uses this port")
+        });
+    }
+    Rig { cuts, ..Rig::of(vec![gripper], "127.0.0.1:0".parse().unwrap(), gateway, None) }
+}
+
+/// During a pause of the computer, the session makes no attempts that it could count.
+#[test]
+fn values_of_a_silent_gripper_are_shown_for_a_second_even_beside_a_pause() {
+    unpaused_on(
+        || rig_on(Link::Udp),
+        |rig| {
+            let mut master = rig.connect();
+            for pause_ms in [0, 650] {
+                until("the gripper answers", || master.inputs().is_some());
+                rig.cut_or_mend();
+                let cut_at = Instant::now();
+                if pause_ms > 0 {
+                    rig.signal(Signal::STOP);
+                    sleep(Duration::from_millis(pause_ms));
+                    rig.signal(Signal::CONT);
+                }
+                until("the gripper is lost", || {
+                    let age = cut_at.elapsed();
+                    let is_lost = master.inputs().is_none();
+                    assert!(is_lost || age <= Duration::from_secs(1), "{pause_ms} ms: shown after {age:?}");
+                    is_lost
+                });
+                rig.cut_or_mend();
+            }
+        },
+    );
 }
 
 #[test]
@@ -702,53 +766,42 @@ fn gripper_on_any_line_grips_and_moves_neither_late_nor_after_the_end() {
 }
 
 fn grips_and_moves_neither_late_nor_after_the_end(link: Link) {
-    let start = || {
-        let ((gripper, cable), cuts) = (link.open(), Arc::<AtomicUsize>::default());
-        let (address, seen) = (cable.address.clone(), Arc::clone(&cuts));
-        thread::spawn(move || cable.pass(&seen));
-        let gateway = Gateway::to(&address, &[]);
-        if link != Link::Udp {
-            until("a second program is refused", || {
-                let second = printed(&wsg(&["gripper", &address, "width"], b""));
-                second.contains("another program uses this port")
-            });
-        }
-        let address = "127.0.0.1:0".parse().unwrap();
-        Rig { cuts, ..Rig::of(vec![gripper], address, gateway, None) }
-    };
-    let messages = unpaused_on(start, |rig| {
-        rig.gripper().set_part(Part::of_width(100.0));
-        let mut master = rig.homed();
-        assert_eq!(master.command(GRIP, 10_000), (1 << 4, 0), "{link:?}: GRIP ends in HOLDING");
-        assert_eq!(master.command(RELEASE, 11_000), (1, 0), "{link:?}: RELEASE ends in IDLE");
-        rig.gripper().set_part(None);
-        master.write(0, 8_000);
-        master.write(MOVE, 8_000);
-        until("the fingers move", || rig.has(SystemFlags::MOVING));
-        rig.cuts.fetch_add(1, Ordering::Relaxed);
-        until("the gripper is lost", || master.ask(&[4, 0, 0, 0, 6]).unwrap() == [0x84, 0x0B]);
-        // The gripper has not noticed it.
-        until("the motion has ended", || !rig.has(SystemFlags::MOVING));
-        let width = rig.gripper().state().width;
-        assert!((width - 80.0).abs() < 0.1 && !rig.has(SystemFlags::FAST_STOP), "{link:?}: {width} mm");
-        for flags in [0, MOVE] {
-            // The bridge may refuse them.
-            let _ = master.ask(&request(flags, 4_000)).unwrap();
-        }
-        rig.cuts.fetch_add(1, Ordering::Relaxed);
-        until("the gripper answers again", || master.inputs().is_some());
-        for _ in 0..50 {
-            let _ = master.ask(&request(MOVE, 4_000)).unwrap();
-            sleep(Duration::from_millis(10));
-        }
-        rests_at(rig, width);
-        master.command(STOP_ACK, 0);
-        master.write(0, 1_000);
-        master.write(GRIP, 1_000);
-        until("the fingers move", || rig.has(SystemFlags::MOVING));
-        rig.end(Signal::HUP);
-        assert!(rig.gripper().state().width > 12.0, "{link:?}: {:?}", rig.gripper().state());
-    });
+    let messages = unpaused_on(
+        || rig_on(link),
+        |rig| {
+            rig.gripper().set_part(Part::of_width(100.0));
+            let mut master = rig.homed();
+            assert_eq!(master.command(GRIP, 10_000), (1 << 4, 0), "{link:?}: GRIP ends in HOLDING");
+            assert_eq!(master.command(RELEASE, 11_000), (1, 0), "{link:?}: RELEASE ends in IDLE");
+            rig.gripper().set_part(None);
+            master.write(0, 8_000);
+            master.write(MOVE, 8_000);
+            until("the fingers move", || rig.has(SystemFlags::MOVING));
+            rig.cut_or_mend();
+            until("the gripper is lost", || master.ask(&[4, 0, 0, 0, 6]).unwrap() == [0x84, 0x0B]);
+            // The gripper has not noticed it.
+            until("the motion has ended", || !rig.has(SystemFlags::MOVING));
+            let width = rig.gripper().state().width;
+            assert!((width - 80.0).abs() < 0.1 && !rig.has(SystemFlags::FAST_STOP), "{link:?}: {width} mm");
+            for flags in [0, MOVE] {
+                // The bridge may refuse them.
+                let _ = master.ask(&request(flags, 4_000)).unwrap();
+            }
+            rig.cut_or_mend();
+            until("the gripper answers again", || master.inputs().is_some());
+            for _ in 0..50 {
+                let _ = master.ask(&request(MOVE, 4_000)).unwrap();
+                sleep(Duration::from_millis(10));
+            }
+            rests_at(rig, width);
+            master.command(STOP_ACK, 0);
+            master.write(0, 1_000);
+            master.write(GRIP, 1_000);
+            until("the fingers move", || rig.has(SystemFlags::MOVING));
+            rig.end(Signal::HUP);
+            assert!(rig.gripper().state().width > 12.0, "{link:?}: {:?}", rig.gripper().state());
+        },
+    );
     assert!(messages.contains("does not notice the end of this line"), "{link:?}: {messages}");
 }
 
@@ -756,28 +809,33 @@ fn grips_and_moves_neither_late_nor_after_the_end(link: Link) {
 fn gateway_serves_masters_although_nothing_reads_its_messages() {
     let mut rig = Rig::start();
     drop(rig.gateway.process.stderr.take());
-    let mut master = rig.connect();
-    until("the gripper answers", || master.inputs().is_some());
+    // A new master for each request: a pause of the gateway ends its connections.
+    let answer = |rig: &Rig| rig.connect().ask(&[4, 0, 0, 0, 6]).map_or(0, |answer| answer[0]);
+    until("the gripper answers", || answer(&rig) == 4);
     // The gateway has messages for each of these.
     for _ in 0..3 {
-        rig.restart_gripper();
-        until("the gripper is lost", || master.inputs().is_none());
-        until("the gripper answers again", || master.inputs().is_some());
+        rig.grippers.clear();
+        until("the gripper is lost", || answer(&rig) == 0x84);
+        rig.grippers.push(serve(rig.address));
+        until("the gripper answers again", || answer(&rig) == 4);
     }
 }
 
 #[test]
 fn wsg_bridge_stores_settings_in_the_file_of_the_gateway() {
     let file = std::env::temp_dir().join(format!("wsg-gateway-{}.flash", std::process::id()));
-    let bridge = |words: &[&str]| {
-        let rig = Rig::with(&["--settings", file.to_str().unwrap()]);
-        let port = format!("tcp://{}", rig.gateway.modbus);
-        printed(&wsg(&[&["bridge", &port], words].concat(), b""))
-    };
-    let set = bridge(&["set", "BUS_TIMEOUT", "2000", "--save"]);
-    let shown = bridge(&["show", "BUS_TIMEOUT"]);
+    for words in [&["set", "BUS_TIMEOUT", "2000", "--save"][..], &["show", "BUS_TIMEOUT"]] {
+        unpaused_on(
+            || Rig::with(&["--settings", file.to_str().unwrap()]),
+            |rig| {
+                let port = format!("tcp://{}", rig.gateway.modbus);
+                let output = wsg(&[&["bridge", &port], words].concat(), b"");
+                let shown = printed(&output);
+                assert!(output.status.success() && shown.contains("2000"), "{shown}");
+            },
+        );
+    }
     let _ = std::fs::remove_file(&file);
-    assert!(shown.contains("2000"), "{set}{shown}");
 }
 
 #[test]
@@ -823,6 +881,7 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
         (&["gateway", "--gripper", "gcl://h", "--modbus", "localhost:0"][..], 2, "not GCL; expected tcp://"),
         (&["gateway", "--gripper", "serial:x?rate=9600"], 2, "requires 115200 bit/s"),
         (&["gateway", "--gripper", "slcan:x?kbit=100"], 2, "requires 125 kbit/s"),
+        (&["gripper", "socketcan:no-can", "width"], 6, "the CAN interface no-can cannot be opened: "),
         (&["gateway", "--gripper", "tcp://h"], 2, "--modbus <ADDR>"),
         (&["gateway", "--modbus", "localhost:0"], 2, "--gripper <ADDRESS>|--config <FILE>"),
         (&["gateway", "--config", "x", "--settings", "y"], 2, "cannot be used with '--settings <FILE>'"),
@@ -831,15 +890,21 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
             2,
             "cannot be used with",
         ),
-        (&["gateway", "--config", "missing.toml"], 1, "cannot read missing.toml"),
+        (&["gateway", "--config", "missing.toml"], 2, "cannot read missing.toml"),
+        (&["gateway", "--config", "x", "--page", "localhost:0"], 2, "cannot be used with '--page <ADDR>'"),
         (&["gateway", "--gripper", "tcp://h", "--profinet", "no-card"], 1, "no-card"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
         (&["gateway", "--gripper", "tcp://h", "status", "h"], 2, "cannot be used with"),
         (&["gateway", "status"], 2, "<ADDR>"),
         (&["gateway", "status", "h:port"], 2, "invalid port `port`"),
+        (
+            &["gateway", "status", "h?unit=x"],
+            2,
+            "wrong address `h?unit=x`; expected tcp://HOST[:502][?unit=1]",
+        ),
         (&["gateway", "status", "127.0.0.1:1"], 6, "wsg: 127.0.0.1:1: cannot connect to a gateway"),
         (&["bridge", "tcp://h:port", "show"], 1, "invalid port `port`"),
-        (&["bridge", "tcp://h?unit=300", "show"], 1, "expected tcp://HOST[:PORT][?unit=1]"),
+        (&["bridge", "tcp://h?unit=300", "show"], 1, "expected tcp://HOST[:502][?unit=1]"),
         // An IPv6 address gets the default port, too.
         (&["bridge", "tcp://::1", "show"], 1, "cannot connect to a gateway at [::1]:502"),
     ] {

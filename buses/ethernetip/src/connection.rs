@@ -28,13 +28,14 @@ pub(crate) struct Connection {
     pub(crate) client: Client,
     /// Identifier of packets to this device, chosen here.
     pub(crate) consumed_id: u32,
-    /// Identifier of packets to the originator.
+    /// Identifier of packets to the originator, or to the group of all that requested multicast.
     pub(crate) produced_id: u32,
     pub(crate) timeout_us: u64,
     /// Time at which the connection ends without a packet.
     pub(crate) until: u64,
     /// Length of cyclic data to this device, or the maximum length of an answer with its sequence count.
     pub(crate) size: u16,
+    /// Receiver of cyclic packets: the originator or the group.
     pub(crate) target: SocketAddrV4,
     /// Mode of an owner.
     pub(crate) mode: State,
@@ -43,7 +44,7 @@ pub(crate) struct Connection {
     /// Last sequence count received.
     pub(crate) count: Option<u16>,
     pub(crate) interval_us: u64,
-    /// Time of the next cyclic packet to the originator.
+    /// Time of the next cyclic packet to the target.
     pub(crate) next: u64,
     /// Last sequence number sent.
     pub(crate) sent: u32,

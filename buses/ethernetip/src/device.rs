@@ -34,7 +34,7 @@ const _: () = assert!(CONNECTIONS < 1 << PLACE_BITS && SESSIONS < 1 << PLACE_BIT
 /// A datagram to send, in the caller's buffer: its length and its destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transmit {
-    /// Cyclic data, to be sent from port [`IO_PORT`](crate::IO_PORT).
+    /// Cyclic data, to be sent from port [`IO_PORT`](crate::IO_PORT); to a group with time to live (TTL) 1.
     Io(usize, SocketAddrV4),
     /// Answer to a broadcast, to be sent from port [`PORT`](crate::PORT).
     Answer(usize, SocketAddrV4),
@@ -74,8 +74,8 @@ impl Random {
 struct Pending {
     left: Option<Cause>,
     is_connected: bool,
-    /// `Outputs` or `Idle`.
-    image: Option<Event>,
+    is_idle: bool,
+    has_outputs: bool,
     reset: Option<Reset>,
 }
 
@@ -105,8 +105,6 @@ pub struct Device<const OUT: usize, const IN: usize> {
     answers: [([u8; MAX_SIZE as usize], usize); EXPLICIT_CONNECTIONS],
     /// Delayed answers: their time, their receiver, its request.
     identities: [Option<(u64, SocketAddrV4, Header)>; IDENTITIES],
-    /// Time after which a silent TCP connection is closed; 0 for never.
-    inactivity_s: u16,
     /// Whether the last connection with cyclic data has timed out.
     has_timed_out: bool,
     pending: Pending,
@@ -129,9 +127,14 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             connections: [const { None }; CONNECTIONS],
             answers: [([0; MAX_SIZE as usize], 0); EXPLICIT_CONNECTIONS],
             identities: [const { None }; IDENTITIES],
-            inactivity_s: session::INACTIVITY_S,
             has_timed_out: false,
-            pending: Pending { left: None, is_connected: false, image: None, reset: None },
+            pending: Pending {
+                left: None,
+                is_connected: false,
+                is_idle: false,
+                has_outputs: false,
+                reset: None,
+            },
             counters: Counters { packets_dropped: 0, opens_refused: 0, identities_lost: 0 },
         }
     }
@@ -169,8 +172,15 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         if core::mem::take(&mut pending.is_connected) {
             return Some(Event::Connected);
         }
-        if let Some(event) = pending.image.take().or_else(|| pending.reset.take().map(Event::Reset)) {
-            return Some(event);
+        // Before the outputs that follow it, so that their first is known.
+        if core::mem::take(&mut pending.is_idle) {
+            return Some(Event::Idle);
+        }
+        if core::mem::take(&mut pending.has_outputs) {
+            return Some(Event::Outputs);
+        }
+        if let Some(kind) = pending.reset.take() {
+            return Some(Event::Reset(kind));
         }
         let is_over = |session: &&mut Option<Session>| session.as_ref().is_some_and(|it| it.is_over);
         self.sessions.iter_mut().find(is_over)?.take().map(|session| Event::Close(session.client))
@@ -193,7 +203,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
         let connections = self.connections().map(|it| it.until.min(it.next));
         let identities = self.identities.iter().flatten().map(|(due, ..)| *due);
-        let sessions = self.sessions.iter().flatten().map(|session| session.until(self.inactivity_s));
+        let sessions = self.sessions.iter().flatten().map(|session| session.until());
         connections.chain(identities).chain(sessions).min().unwrap_or(u64::MAX)
     }
 
@@ -222,8 +232,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
                 self.end_session(client);
             }
         }
-        let inactivity_s = self.inactivity_s;
-        let is_idle = |it: &&Session| !it.is_over && now >= it.until(inactivity_s);
+        let is_idle = |it: &&Session| !it.is_over && now >= it.until();
         while let Some(client) = self.sessions.iter().flatten().find(is_idle).map(|it| it.client) {
             self.end_session(client);
         }

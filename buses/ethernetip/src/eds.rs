@@ -42,6 +42,7 @@ pub struct EdsFacts<'a> {
 ///     listen_only: 153,
 ///     register_class: None,
 ///     min_interval_us: 1_000,
+///     allows_multicast: false,
 /// };
 /// let facts = EdsFacts {
 ///     description: "One byte of inputs, one byte of outputs",
@@ -74,6 +75,8 @@ pub struct Eds<'a> {
 const OWNER: u32 = 0x4444_0405;
 /// The same for a connection with a heartbeat in place of the outputs.
 const HEARTBEAT: u32 = 0x4444_0305;
+/// Bit of multicast inputs, in addition to point-to-point.
+const MULTICAST: u32 = 0x0020_0000;
 
 impl fmt::Display for Eds<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -134,7 +137,8 @@ impl fmt::Display for Eds<'_> {
             (0x0201_0002, HEARTBEAT, profile.input_only, "Input only"),
             (0x0101_0002, HEARTBEAT, profile.listen_only, "Listen only"),
         ]) {
-            write!(file.0, "  Connection{number} = 0x{transport:08X},0x{parameters:08X},Param1,")?;
+            let all = if profile.allows_multicast { parameters | MULTICAST } else { parameters };
+            write!(file.0, "  Connection{number} = 0x{transport:08X},0x{all:08X},Param1,")?;
             match parameters {
                 OWNER => write!(file.0, "{output_len},Assem{point}")?,
                 _ => write!(file.0, "0,")?,

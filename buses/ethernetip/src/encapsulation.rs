@@ -48,8 +48,9 @@ pub(crate) mod item {
     pub(crate) const CONNECTED_DATA: u16 = 0x00B1;
     pub(crate) const UNCONNECTED_DATA: u16 = 0x00B2;
     pub(crate) const SERVICES: u16 = 0x0100;
-    /// Socket address for data to the device. The next type is for data to the originator.
+    /// Socket addresses for data to the device and to the originator.
     pub(crate) const SOCKET_O_TO_T: u16 = 0x8000;
+    pub(crate) const SOCKET_T_TO_O: u16 = 0x8001;
     pub(crate) const SEQUENCED_ADDRESS: u16 = 0x8002;
 }
 

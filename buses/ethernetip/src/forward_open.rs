@@ -45,12 +45,17 @@ pub(crate) struct Direction {
 
 impl Direction {
     const NULL: u16 = 0;
+    const MULTICAST: u16 = 1;
     const POINT_TO_POINT: u16 = 2;
 
     fn read(reader: &mut Reader<'_>, is_large: bool) -> Option<Self> {
         let (interval_us, word) = (reader.u32()?, reader.u16()?);
         let (size, flags) = if is_large { (word, reader.u16()?) } else { (word & 0x01FF, word) };
         Some(Self { interval_us, size, kind: (flags >> 13) & 3, is_redundant: flags & 0x8000 != 0 })
+    }
+
+    pub(crate) const fn is_multicast(&self) -> bool {
+        self.kind == Self::MULTICAST
     }
 }
 
@@ -69,7 +74,7 @@ pub(crate) enum Kind {
 /// A request for a connection.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Open<'a> {
-    /// Identifier for data to the originator, chosen by the originator.
+    /// Identifier for data to the originator, chosen by the originator unless it requests multicast.
     pub(crate) produced_id: u32,
     pub(crate) triad: Triad,
     pub(crate) multiplier: u8,
@@ -112,13 +117,16 @@ impl<'a> Open<'a> {
         let is_explicit = self.transport & 0x0F == 3;
         let intervals = if is_explicit { 1..=u32::MAX } else { profile.min_interval_us..=MAX_INTERVAL_US };
         let are_allowed = intervals.contains(&output.interval_us) && intervals.contains(&input.interval_us);
+        let allows_multicast = !is_explicit && profile.allows_multicast;
+        let is_right_input =
+            input.kind == Direction::POINT_TO_POINT || allows_multicast && input.is_multicast();
         let refusals = [
             (self.is_null(), 0x0132),
             // Class 1 is cyclic.
             (!is_explicit && self.transport & 0x7F != 1, 0x0103),
             (key.is_some(), key.unwrap_or(0)),
             (output.kind != Direction::POINT_TO_POINT, 0x0123),
-            (input.kind != Direction::POINT_TO_POINT, 0x0124),
+            (!is_right_input, 0x0124),
             (output.is_redundant || input.is_redundant, 0x0125),
             (self.multiplier > 7 || !are_allowed, 0x0111),
         ];

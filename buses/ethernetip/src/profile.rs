@@ -2,6 +2,11 @@
 
 use core::net::Ipv4Addr;
 
+/// Group of the first host in a network (239.192.1.0), number of groups for a host, and mask of the hosts that differ.
+const FIRST_GROUP: u32 = 0xEFC0_0100;
+const GROUPS: u32 = 32;
+const HOSTS: u32 = 0x3FF;
+
 /// Fixed properties of a device. They must equal its EDS file.
 #[derive(Clone, Copy, Debug)]
 pub struct Profile {
@@ -31,6 +36,8 @@ pub struct Profile {
     pub register_class: Option<u16>,
     /// Minimum requested packet interval (RPI) in µs.
     pub min_interval_us: u32,
+    /// Whether originators may request inputs by multicast.
+    pub allows_multicast: bool,
 }
 
 impl Profile {
@@ -61,8 +68,18 @@ pub struct Network {
     pub gateway: Ipv4Addr,
     /// Ethernet address.
     pub mac: [u8; 6],
-    /// Speed in Mbit/s, full duplex.
+    /// Speed in Mbit/s, full duplex; 0 if unknown.
     pub speed: u32,
+}
+
+impl Network {
+    /// Returns the group for inputs, as the number of the host in its network determines it (volume 2, chapter 3).
+    pub(crate) fn group(&self) -> Ipv4Addr {
+        // If the network is unknown, the whole address.
+        let network = if self.mask == Ipv4Addr::BROADCAST { 0 } else { self.mask.to_bits() };
+        let host = (self.address.to_bits() & !network).wrapping_sub(1) & HOSTS;
+        Ipv4Addr::from_bits(FIRST_GROUP.saturating_add(host.saturating_mul(GROUPS)))
+    }
 }
 
 /// General status of CIP (volume 1, appendix B): reason for a refusal.
@@ -124,5 +141,59 @@ impl Registers for () {
 
     fn write(&mut self, _: u16, _: u16, _: &[u8], _: bool) -> Result<(), Status> {
         Err(Status::NoInstance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn group_follows_the_low_10_bits_of_the_host() {
+        for (address, mask, group) in [
+            ([192, 168, 0, 1], [255, 255, 255, 0], [239, 192, 1, 0]),
+            ([192, 168, 7, 5], [255, 255, 255, 0], [239, 192, 1, 128]),
+            ([10, 0, 4, 0], [255, 0, 0, 0], [239, 192, 128, 224]),
+            ([10, 0, 4, 1], [255, 0, 0, 0], [239, 192, 1, 0]),
+            // The network is unknown.
+            ([192, 168, 1, 9], [255; 4], [239, 192, 34, 0]),
+        ] {
+            let [address, mask, group] = [address, mask, group].map(Ipv4Addr::from);
+            let network = Network { address, mask, gateway: address, mac: [0; 6], speed: 100 };
+            assert_eq!(network.group(), group);
+        }
+    }
+
+    #[test]
+    fn each_wrong_field_makes_a_profile_invalid() {
+        let valid = crate::device::tests::PROFILE;
+        // Pairs of numbers that are equal.
+        let numbers = [valid.output, valid.input, valid.configuration, valid.input_only, valid.listen_only];
+        for (at, other) in (0..5).flat_map(|at| (0..at).map(move |other| (at, other))) {
+            let mut numbers = numbers;
+            numbers[at] = numbers[other];
+            let [output, input, configuration, input_only, listen_only] = numbers;
+            let profile = Profile { output, input, configuration, input_only, listen_only, ..valid };
+            assert!(!profile.is_valid(), "{numbers:?}");
+        }
+        for (profile, is_valid) in [
+            (Profile { product_name: "12345678901234567890123456789012", ..valid }, true),
+            (Profile { product_name: "123456789012345678901234567890123", ..valid }, false),
+            (Profile { revision: [0, 1], ..valid }, false),
+            (Profile { revision: [1, 0], ..valid }, false),
+            (Profile { revision: [128, 1], ..valid }, false),
+            (Profile { register_class: Some(0x63), ..valid }, false),
+            (Profile { register_class: Some(0xC8), ..valid }, false),
+            (Profile { min_interval_us: 99, ..valid }, false),
+            (Profile { min_interval_us: 100, ..valid }, true),
+        ] {
+            assert_eq!(profile.is_valid(), is_valid, "{profile:?}");
+        }
+    }
+
+    #[test]
+    fn unit_has_no_registers() {
+        assert_eq!(().read(1, 1, &mut [0; 8]), Err(Status::NoInstance));
+        assert_eq!(().write(1, 1, &[0], false), Err(Status::NoInstance));
     }
 }

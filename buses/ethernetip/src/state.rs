@@ -5,13 +5,11 @@
 pub enum Event {
     /// An exclusive owner has opened its connection. The outputs are 0 until [`Outputs`](Self::Outputs).
     Connected,
-    /// New outputs of an owner in run mode, possibly with the same values.
-    Outputs {
-        /// Whether they are the first after the opening or after idle mode, so that they must not cause an edge.
-        is_first: bool,
-    },
-    /// The owner has changed from run to idle mode. The outputs are now 0.
+    /// The owner has changed from run to idle mode. The outputs are 0 until [`Outputs`](Self::Outputs).
     Idle,
+    /// New outputs of an owner in run mode, possibly with the same values. The first after [`Connected`](Self::Connected) or
+    /// [`Idle`](Self::Idle) must not cause an edge.
+    Outputs,
     /// The connection to the owner has ended. The outputs are now 0.
     Left(Cause),
     /// A tool requests a reset. Restart the device after the pending answers are sent.

@@ -16,6 +16,7 @@ mod history;
 mod injected;
 mod page;
 mod peer;
+mod read_only;
 mod scripts;
 mod settings;
 mod socket;
@@ -25,7 +26,7 @@ use super::hub::Hub;
 use super::open_line::{Listen, OpenLine};
 use access::{check_host, check_origin};
 use age::{Effect, Sender, Stalls, as_of, as_of_in};
-use answer::{Answer, HttpError, json, whole};
+use answer::{Answer, HttpError, finished, json, whole};
 use anyhow::Result;
 use commands::{COMMAND_EXPECTED, CommandBody, Executed};
 use documents::DOCUMENTS;
@@ -35,10 +36,7 @@ use fieldbus_host::accept::{Accepted, Acceptor};
 use history::History;
 use http_body_util::{BodyExt, Either, LengthLimitError, Limited};
 use hyper::body::{Bytes, Incoming};
-use hyper::header::{
-    ALLOW, CACHE_CONTROL, CONNECTION, CONTENT_DISPOSITION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST,
-    HeaderName, HeaderValue, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
-};
+use hyper::header::{CONTENT_DISPOSITION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::upgrade::OnUpgrade;
@@ -62,6 +60,8 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, spawn_local, yield_now};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
+
+pub use read_only::serve_read_only;
 
 /// The longest accepted body, in bytes.
 const MAX_BODY_LEN: usize = 4_096;
@@ -102,17 +102,27 @@ async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<String>) -> Resu
     spawn_local(Rc::clone(&history).record(Arc::clone(&hub)));
     spawn_local(publish(Arc::clone(&hub), Rc::clone(&editor), Rc::clone(&watchers)));
     let site = Site { hub, names, watchers, history, editor, stalls, executed: Rc::default() };
+    let serve = |link, stream, peer| serve_connection(site.clone(), link, stream, peer);
+    match serve_connections(listener, MAX_CONNECTIONS, serve).await {}
+}
+
+/// Serves connections, with this limit on their number and one on their time.
+async fn serve_connections<F: Future<Output = Result<()>> + 'static>(
+    listener: TcpListener,
+    limit: usize,
+    serve: impl Fn(Rc<Link>, TcpStream, IpAddr) -> F,
+) -> Infallible {
     let mut connections = Connections::default();
     let mut acceptor = Acceptor::new(listener);
     loop {
         match acceptor.accept().await {
             Accepted::Client(stream, peer) => {
                 let link = Link::new();
-                let site = site.clone();
-                connections.open(Rc::clone(&link), async move {
+                let served = serve(Rc::clone(&link), stream, peer.ip().to_canonical());
+                connections.open(Rc::clone(&link), limit, async move {
                     tokio::select! {
                         // Ends a connection that does not speak HTTP.
-                        _ = serve_connection(site, Rc::clone(&link), stream, peer.ip().to_canonical()) => {}
+                        _ = served => {}
                         // Ends a connection that exceeds its time limit.
                         () = run_out(&link) => {}
                     }
@@ -231,14 +241,14 @@ async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
 struct Connections(VecDeque<(Rc<Link>, JoinHandle<()>)>);
 
 impl Connections {
-    /// Adds a connection. If there are too many, drops the oldest: it has had the most time for its request, and a
+    /// Adds a connection. If the limit is reached, drops the oldest: it has had the most time for its request, and a
     /// complete request has been answered already.
-    fn open(&mut self, link: Rc<Link>, connection: impl Future<Output = ()> + 'static) {
+    fn open(&mut self, link: Rc<Link>, limit: usize, connection: impl Future<Output = ()> + 'static) {
         let Self(open) = self;
         open.retain(|(_, connection)| !connection.is_finished());
         // Streams have their own limit.
         let asks = |(link, _): &(Rc<Link>, JoinHandle<()>)| !link.streams();
-        if open.iter().filter(|connection| asks(connection)).count() >= MAX_CONNECTIONS
+        if open.iter().filter(|connection| asks(connection)).count() >= limit
             && let Some((_, oldest)) = open.iter().position(asks).and_then(|at| open.remove(at))
         {
             oldest.abort();
@@ -311,30 +321,12 @@ async fn answer(
     request: Request<Incoming>,
 ) -> Result<Answer, Infallible> {
     let answer = async {
-        check_host(request.headers(), connection.here, &site.names)?;
+        check_host(request.headers(), connection.here, &site.names, " or a name of --control-host")?;
         check_origin(request.headers())?;
         act(&site, &connection, request).await
     };
-    let mut response = answer.await.unwrap_or_else(|HttpError { status, error, allowed }| {
-        let mut response = json(&serde_json::json!({ "error": error }).to_string());
-        *response.status_mut() = status;
-        if let Some(method) = allowed.and_then(|allowed| HeaderValue::from_str(&allowed).ok()) {
-            response.headers_mut().insert(ALLOW, method);
-        }
-        response
-    });
-    for (name, value) in PRIVATE {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
-    }
-    if response.status() != StatusCode::SWITCHING_PROTOCOLS {
-        response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
-    }
-    Ok(response)
+    Ok(finished(answer.await))
 }
-
-/// Headers of every answer: no caching, no content sniffing, no referrer.
-const PRIVATE: [(HeaderName, &str); 3] =
-    [(CACHE_CONTROL, "no-store"), (X_CONTENT_TYPE_OPTIONS, "nosniff"), (REFERRER_POLICY, "no-referrer")];
 
 /// Returns the state of gripper and lines as JSON.
 fn state(hub: &Hub) -> Result<String, HttpError> {
@@ -358,7 +350,11 @@ fn file(text: String, disposition: HeaderValue) -> Answer {
 /// Returns the page itself.
 fn show_page(request: &Request<Incoming>) -> Result<Answer, HttpError> {
     let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    let (page, policy) = page::page(host);
+    document(page::page(host))
+}
+
+/// Returns a page with its content security policy.
+fn document((page, policy): (String, String)) -> Result<Answer, HttpError> {
     let mut response = whole(page, HeaderValue::from_static("text/html; charset=utf-8"));
     let policy = HeaderValue::from_str(&policy)
         .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
@@ -422,19 +418,8 @@ const PATHS: [(&str, Method); 19] = [
 /// Executes the request. The answer is the state, except for the page and its events.
 async fn act(site: &Site, connection: &Connection, request: Request<Incoming>) -> Result<Answer, HttpError> {
     let hub = &site.hub;
+    check_path(&request, &PATHS)?;
     let path = request.uri().path().to_owned();
-    let methods: Vec<&Method> =
-        PATHS.iter().filter(|(known, _)| *known == path).map(|(_, method)| method).collect();
-    if methods.is_empty() {
-        let known = PATHS.map(|(path, method)| format!("{method} {path}")).join(", ");
-        let error = format!("the path {path:?} is unknown; expected one of {known}");
-        return Err(HttpError::new(StatusCode::NOT_FOUND, error));
-    }
-    if !methods.contains(&request.method()) {
-        let allowed = methods.iter().map(|method| method.as_str()).collect::<Vec<_>>().join(", ");
-        let error = format!("{path} does not support {}; expected {allowed}", request.method());
-        return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed: Some(allowed) });
-    }
     let is_post = request.method() == Method::POST;
     let sender = Sender::of(request.headers(), connection.peer, connection.here);
     let as_of = if is_post { as_of_in(request.uri())?.map(str::to_owned) } else { None };
@@ -525,6 +510,25 @@ async fn act(site: &Site, connection: &Connection, request: Request<Incoming>) -
     Ok(json(&state(hub)?))
 }
 
+/// Rejects a request whose path or method is not among these.
+fn check_path(request: &Request<Incoming>, paths: &[(&str, Method)]) -> Result<(), HttpError> {
+    let path = request.uri().path();
+    let methods: Vec<&Method> =
+        paths.iter().filter(|(known, _)| *known == path).map(|(_, method)| method).collect();
+    if methods.is_empty() {
+        let known =
+            paths.iter().map(|(path, method)| format!("{method} {path}")).collect::<Vec<_>>().join(", ");
+        let error = format!("the path {path:?} is unknown; expected one of {known}");
+        return Err(HttpError::new(StatusCode::NOT_FOUND, error));
+    }
+    if !methods.contains(&request.method()) {
+        let allowed = methods.iter().map(|method| method.as_str()).collect::<Vec<_>>().join(", ");
+        let error = format!("{path} does not support {}; expected {allowed}", request.method());
+        return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed: Some(allowed) });
+    }
+    Ok(())
+}
+
 /// Restarts the gripper once this request is answered.
 fn restart(hub: &Arc<Hub>) -> Result<(), HttpError> {
     settings(hub)?;
@@ -577,7 +581,7 @@ mod tests {
         let open = |count: usize, connections: &mut Connections| {
             for _ in 0..count {
                 let held = Rc::clone(&held);
-                connections.open(Link::new(), async move {
+                connections.open(Link::new(), MAX_CONNECTIONS, async move {
                     let _held = held;
                     pending().await
                 });
@@ -585,7 +589,7 @@ mod tests {
         };
         let local = LocalSet::new();
         let all = local.run_until(async {
-            connections.open(Link::new(), async {});
+            connections.open(Link::new(), MAX_CONNECTIONS, async {});
             open(MAX_CONNECTIONS - 1, &mut connections);
             yield_now().await;
             open(1, &mut connections);

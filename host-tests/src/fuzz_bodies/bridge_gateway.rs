@@ -1,11 +1,12 @@
-//! The whole bridge as `wsg gateway` runs it: requests of two Modbus/TCP masters, pauses of the computer, and a connection to the
-//! gripper that ends and is restored.
+//! The whole bridge as `wsg gateway` runs it: requests of two Modbus/TCP masters, images of the masters of two cyclic buses, pauses of
+//! the computer, and a connection to the gripper that ends and is restored.
 //!
 //! Properties:
 //! - the [`Promises`](crate::promises::Promises), with FAST_STOP_OK high: commands follow only edges of images that an answered
-//!   request wrote
+//!   request wrote, or of changed images of a cyclic master, where a flag rises that was 0 in the master's image before
+//! - FASTSTOP lasts until each cyclic master that set it has cleared it
 //! - a request is answered in its turn, according to its content ([`Tracked`])
-//! - the silence of the master that wrote last is a lost bus, regardless of the other one; so is a pause
+//! - the silence of the master that wrote last is a lost bus, regardless of the others; so is its end on a cyclic bus, and a pause
 //! - a jog ends with the connection of its master
 //! - saved settings are loaded at the next start
 //!
@@ -16,7 +17,7 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
 use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config, ControlSource, Station};
-use wsg_fieldbus::{CommandFlags, SilenceReaction};
+use wsg_fieldbus::{CommandFlags, OutputImage, SilenceReaction};
 use wsg_protocol::Instant;
 
 use super::bridge::{SAVE_MS, settings_pdu, start};
@@ -40,16 +41,34 @@ struct Model {
     tracked: Tracked,
     /// Numbers of the masters' connections.
     masters: [u64; 2],
-    /// The connection that wrote last, until it is silent, and the one that began the present jog.
-    writer: Option<u64>,
-    jogger: Option<u64>,
-    /// Time of the last request of the jogger, or of the writer without a jog.
-    received_ms: Option<u32>,
+    /// The last images of the cyclic masters, since they enabled their outputs.
+    cyclic: [Option<OutputImage>; 2],
+    plc: Plc,
     /// When the connection to the gripper is restored; `None` while there is one.
     restored_ms: Option<u32>,
     /// Time between two turns, in milliseconds.
     step_ms: u32,
     ends: Ends,
+}
+
+/// The PLC, until it is silent.
+#[derive(Default)]
+struct Plc {
+    /// The master that wrote last, and the one that began the present jog.
+    writer: Option<u64>,
+    jogger: Option<u64>,
+    /// Time of the last data of the jogger, or of the writer without a jog.
+    received_ms: Option<u32>,
+}
+
+impl Plc {
+    fn is(&self, master: u64) -> bool {
+        [self.writer, self.jogger].contains(&Some(master))
+    }
+
+    fn is_silent(&self, now_ms: u32, timeout_ms: u32) -> bool {
+        timeout_ms > 0 && self.received_ms.is_some_and(|received_ms| now_ms - received_ms >= timeout_ms)
+    }
 }
 
 /// What happens in a turn.
@@ -61,7 +80,16 @@ enum Event<'a> {
     /// The computer has paused.
     Paused,
     /// The connection that began the jog has ended before the turn.
-    Left,
+    JogEnded,
+    /// A cyclic master provides this image after that one.
+    Image(usize, OutputImage, Option<OutputImage>),
+    /// A cyclic master no longer provides images.
+    Left(usize),
+}
+
+/// Number of a cyclic master.
+const fn number(cyclic: usize) -> u64 {
+    u64::MAX - cyclic as u64
 }
 
 /// The first byte also selects turns that are 5 ms apart (bit 1), and damaged stored settings (bit 3). Each further op is a byte with
@@ -106,9 +134,8 @@ impl Model {
             modbus: ModbusTcp::new(),
             tracked: Tracked::new(&delivered.record()),
             masters: [0, 1],
-            writer: None,
-            jogger: None,
-            received_ms: None,
+            cyclic: [None; 2],
+            plc: Plc::default(),
             restored_ms: None,
             step_ms: 1,
             ends,
@@ -135,9 +162,9 @@ impl Model {
         if self.modbus.end_jog(number) {
             self.station.bridge().silence(SilenceReaction::Hold);
         }
-        if self.jogger == Some(number) {
-            self.jogger = None;
-            self.run(Event::Left);
+        if self.plc.jogger == Some(number) {
+            self.plc.jogger = None;
+            self.run(Event::JogEnded);
         }
     }
 
@@ -159,6 +186,7 @@ impl Model {
         let is_paused = matches!(event, Event::Paused);
         if is_paused {
             self.lose_gripper(RETRY_MS, true);
+            self.cyclic = [None; 2];
         } else if self.restored_ms.is_some_and(|restored_ms| now_ms >= restored_ms) {
             self.restore_gripper();
         }
@@ -176,33 +204,51 @@ impl Model {
                 TcpInput::Request { master, pdu, response, len, is_write }
             }
             Event::Paused => TcpInput::Paused,
-            Event::Nothing | Event::Left => TcpInput::Nothing,
+            Event::Image(master, image, before) => TcpInput::Image { master: number(master), image, before },
+            Event::Left(master) => TcpInput::Left { master: number(master) },
+            Event::Nothing | Event::JogEnded => TcpInput::Nothing,
         };
         let outputs = station.turn_of_gateway(now_ms, ends.line.turn(), &mut modbus.over(input), flash);
         ends.wires = Inputs::FAST_STOP_OK;
         let received = ends.line.take_received();
         ends.begin_turn(&received);
         let requests = &mut ends.promises.requests;
-        if matches!(event, Event::Left) {
+        if matches!(event, Event::JogEnded) {
             requests.end_jog();
         }
-        let timeout_ms = tracked.timeout_ms();
-        let is_late = |received_ms| timeout_ms > 0 && now_ms - received_ms >= timeout_ms;
-        if is_paused || self.received_ms.is_some_and(is_late) {
-            (self.writer, self.jogger, self.received_ms) = (None, None, None);
-            let commands = station.bridge().control_source() == ControlSource::Bus;
+        let commands = station.bridge().control_source() == ControlSource::Bus;
+        let has_left = matches!(event, Event::Left(master) if self.plc.is(number(master)));
+        if is_paused || has_left || self.plc.is_silent(now_ms, tracked.timeout_ms()) {
+            self.plc = Plc::default();
             requests.lose_bus(commands && tracked.stops_at_silence());
         }
-        if let Event::Request(master, pdu) = event {
-            if let Done::Image(image, recipe) = tracked.take_answer(Port::Bus, pdu, &response[..len]) {
-                requests.take_image(image, recipe);
-                self.writer = Some(master);
-                let jogs = image.flags.intersects(CommandFlags::JOG);
-                self.jogger = self.jogger.or(Some(master)).filter(|_| jogs);
+        let (master, written) = match event {
+            Event::Request(master, pdu) => match tracked.take_answer(Port::Bus, pdu, &response[..len]) {
+                Done::Image(image, recipe) => (Some(master), Some((image, recipe))),
+                _ => (Some(master), None),
+            },
+            Event::Image(master, image, before) => {
+                let is_written = self.plc.writer.is_none() || before != Some(image);
+                let held = self.plc.writer.map(|_| before.map_or(CommandFlags::all(), |before| before.flags));
+                (Some(number(master)), is_written.then(|| tracked.take_cyclic(image, held)))
             }
-            if self.jogger.or(self.writer) == Some(master) {
-                self.received_ms = Some(now_ms);
-            }
+            _ => (None, None),
+        };
+        if let Some((mut image, recipe)) = written {
+            let cyclic = self.cyclic.iter().flatten().map(|image| image.flags);
+            image.flags |= cyclic.collect::<CommandFlags>() & CommandFlags::FASTSTOP;
+            requests.take_image(image, recipe);
+            self.plc.writer = master;
+            let jogs = image.flags.intersects(CommandFlags::JOG);
+            self.plc.jogger = self.plc.jogger.or(master).filter(|_| jogs);
+        }
+        if master.is_some() && self.plc.jogger.or(self.plc.writer) == master {
+            self.plc.received_ms = Some(now_ms);
+        }
+        // A request may have shortened BUS_TIMEOUT.
+        if self.plc.is_silent(now_ms, tracked.timeout_ms()) {
+            self.plc = Plc::default();
+            requests.lose_bus(commands && tracked.stops_at_silence());
         }
         ends.promises.levels.min_busy_ms = tracked.min_busy_ms();
         // The gateway resets the connection to a silent gripper.
@@ -269,6 +315,18 @@ impl WholeBridge for Model {
                 return;
             }
             9 => [&[input.byte()], input.fewer_than(24)].concat(),
+            10 if op & 0x20 != 0 => {
+                self.cyclic[master] = None;
+                return self.run(Event::Left(master));
+            }
+            10 if op & 0x10 != 0 => {
+                let flags = input.pick(&FLAGS);
+                let [width, speed, force_limit] = input.pick(&PARAMETERS);
+                let (width, force_limit) = (width as i16, force_limit as i16);
+                let image = OutputImage { flags, user: 0, width, speed, force_limit };
+                let before = self.cyclic[master].replace(image);
+                return self.run(Event::Image(master, image, before));
+            }
             10 => image_pdu(input.pick(&FLAGS), input.pick(&PARAMETERS)),
             11 => settings_pdu(op >> 4 & 3, input),
             12 => vec![5, 0, input.byte() % 66, input.pick(&[0, 0xFF, 1]), 0],

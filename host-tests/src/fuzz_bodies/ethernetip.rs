@@ -19,6 +19,8 @@ const NETWORK: Network = Network {
     mac: [2, 0, 0, 0, 0, 9],
     speed: 100,
 };
+/// The adapter's group: host 9 of its network.
+const GROUP: Ipv4Addr = Ipv4Addr::new(239, 192, 2, 0);
 const STATIONS: [Ipv4Addr; 2] = [Ipv4Addr::new(10, 0, 0, 1), Ipv4Addr::new(10, 0, 0, 2)];
 /// Number of TCP connections in the model: the even ones are of the first station.
 const CLIENTS: usize = 4;
@@ -62,6 +64,8 @@ struct Link {
     until: u64,
     sequence: Option<u32>,
     count: Option<[u8; 2]>,
+    /// Whether its packets to the originator are for a group.
+    is_multicast: bool,
     interval_us: u64,
     /// Time of the next packet to the originator.
     due: u64,
@@ -213,6 +217,7 @@ impl World {
             Kind::Explicit => (200, 0xA3, &[0x20, 2, 0x24, 1][..]),
         };
         let input_size = if kind == Kind::Explicit { 200 } else { 14 };
+        let input_kind = if how >= 0x80 && kind != Kind::Explicit { 0x28 } else { 0x48 };
         let mut message = [
             &[0x54][..],
             &MANAGER,
@@ -220,7 +225,7 @@ impl World {
             &to,
             &[size, 0x48],
             &from,
-            &[input_size, 0x48, transport, path.len() as u8 / 2],
+            &[input_size, input_kind, transport, path.len() as u8 / 2],
             path,
         ]
         .concat();
@@ -238,16 +243,21 @@ impl World {
             _ => Kind::ListenOnly,
         };
         let triad: [u8; 8] = message[16..24].try_into().expect("eight");
-        let refusal = self.refusal(kind, triad);
+        let number = |at| u32::from_le_bytes(std::array::from_fn(|byte| message[at + byte]));
+        let interval_us = number(34).into();
+        let is_multicast = message[39] & 0x60 == 0x20;
+        let shared = self.links.iter().find(|link| is_multicast && link.is_multicast);
+        let is_other = shared.is_some_and(|link| link.interval_us != interval_us);
+        let refusal = self.refusal(kind, triad).or(is_other.then_some(0x0112));
         if let Some(refusal) = refusal {
             assert_eq!(answer[..6], [&[0xD4, 0, 1, 1][..], &refusal.to_le_bytes()].concat(), "{kind:?}");
             return;
         }
         assert!(is_open, "{kind:?}: {answer:02X?}");
-        let number = |at| u32::from_le_bytes(std::array::from_fn(|byte| message[at + byte]));
         let timeout_us = u64::from(number(28)) * (4 << message[24]);
         let ids = [4, 8].map(|at| std::array::from_fn(|byte| answer[at + byte]));
         assert!(self.links.iter().all(|link| link.ids[0] != ids[0]), "an identifier twice");
+        assert!(shared.is_none_or(|link| link.ids[1] == ids[1]), "two productions for a group");
         self.links.push(Link {
             kind,
             client: self.tcp[who].client,
@@ -258,8 +268,9 @@ impl World {
             until: self.now + timeout_us.max(10_000_000),
             sequence: None,
             count: None,
-            interval_us: number(34).into(),
-            due: self.now,
+            is_multicast,
+            interval_us,
+            due: shared.map_or(self.now, |link| link.due),
         });
         if kind == Kind::Owner {
             self.state = State::Waiting;
@@ -351,7 +362,7 @@ impl World {
             self.expected.extend(was_running.then_some(Event::Idle));
             (self.state, self.outputs) = (State::Idle, [0; OutputImage::LEN]);
         } else if is_new || !was_running {
-            self.expected.push(Event::Outputs { is_first: !was_running });
+            self.expected.push(Event::Outputs);
             (self.state, self.outputs) = (State::Run, packet[24..].try_into().expect("the outputs"));
         }
     }
@@ -430,13 +441,16 @@ impl World {
             match self.device.poll_transmit(self.now, &mut buffer) {
                 Some(Transmit::Io(len, to)) => {
                     let is_due = |link: &&mut Link| {
-                        let address = SocketAddrV4::new(link.client.address, 2_222);
-                        (link.ids[1], address) == ([6, 7, 8, 9].map(|at| buffer[at]), to)
+                        let ip = if link.is_multicast { GROUP } else { link.client.address };
+                        (link.ids[1], ip, 2_222) == ([6, 7, 8, 9].map(|at| buffer[at]), *to.ip(), to.port())
                             && link.kind != Kind::Explicit
                             && link.due <= self.now
                     };
                     let link = self.links.iter_mut().find(is_due).expect("a connection for the packet");
                     link.due += ((self.now - link.due) / link.interval_us + 1) * link.interval_us;
+                    let due = link.due;
+                    let group = self.links.iter_mut().filter(|link| link.is_multicast && *to.ip() == GROUP);
+                    group.for_each(|link| link.due = due);
                     assert_eq!(len, 18 + 2 + InputImage::LEN);
                 }
                 Some(Transmit::Answer(len, _)) => {
@@ -476,7 +490,8 @@ mod tests {
     #[test]
     fn ops_of_this_body_open_each_kind_and_set_outputs() {
         let mut world = World::new();
-        for op in [&[1, 0][..], &[4, 0, 0, 3, 4, 0, 0], &[4, 0, 0, 1, 2, 0, 0], &[4, 0, 0, 2, 3, 0, 0]] {
+        for op in [&[1, 0][..], &[4, 0, 0, 3, 4, 0, 0], &[4, 0, 0, 1, 2, 0x80, 0], &[4, 0, 0, 2, 3, 0x80, 0]]
+        {
             world.happen(&mut Input::new(op));
         }
         for op in [&[4, 0, 0, 0, 1, 0, 0][..], &[7, 3, 0, 1, 2, 3, 4, 5, 6, 7, 8, 0]] {

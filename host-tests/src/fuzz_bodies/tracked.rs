@@ -7,7 +7,7 @@
 use bus_modbus::rtu::Timing;
 use wsg_bridge_fw::registers::{self, COMMAND_KEY, Record};
 use wsg_bridge_fw::{RECIPE_COUNT, Recipe};
-use wsg_fieldbus::OutputImage;
+use wsg_fieldbus::{CommandFlags, OutputImage};
 
 use super::rtu_line::{Requests, Way};
 use crate::promises::Promises;
@@ -278,6 +278,37 @@ impl Tracked {
         (is_there && !reads).then_some(write)
     }
 
+    /// Processes an image of a cyclic master. `held` has the flags that were 1 in its image before, unless no master wrote since the
+    /// bus was lost. A flag of them that others have cleared has no effect, nor has a motion beside STOP/ACK.
+    pub(super) fn take_cyclic(
+        &mut self,
+        mut image: OutputImage,
+        held: Option<CommandFlags>,
+    ) -> (OutputImage, Option<Recipe>) {
+        if let Some(held) = held {
+            let cleared = held - CommandFlags::from_bits_retain(self.image[0]);
+            let mut ignored = cleared - CommandFlags::FASTSTOP;
+            if cleared.intersects(CommandFlags::JOG) {
+                // Both directions at once mean a stop.
+                ignored |= CommandFlags::JOG;
+            }
+            if image.flags.contains(CommandFlags::STOP_ACK) {
+                ignored |= CommandFlags::MOTIONS | CommandFlags::JOG;
+            }
+            image.flags -= ignored;
+        }
+        self.image = image.to_bytes();
+        if self.setting(SWAP_BYTES) != 0 {
+            swap(&mut self.image);
+        }
+        (image, self.recipe())
+    }
+
+    /// Returns the recipe of the bus, if it uses one.
+    fn recipe(&self) -> Option<Recipe> {
+        self.recipes().get(usize::from(self.setting(BUS_RECIPE))).copied()
+    }
+
     fn carry_out(&mut self, write: Option<Write>) -> Option<Done> {
         match write? {
             Write::Coils(first, values) => {
@@ -306,8 +337,7 @@ impl Tracked {
         if self.setting(SWAP_BYTES) != 0 {
             swap(&mut image);
         }
-        let recipe = self.recipes().get(usize::from(self.setting(BUS_RECIPE))).copied();
-        Some(Done::Image(OutputImage::from_bytes(image), recipe))
+        Some(Done::Image(OutputImage::from_bytes(image), self.recipe()))
     }
 
     /// Executes SAVE, RESTORE or DEFAULTS. During SAVE and DEFAULTS, settings do not change.

@@ -1,26 +1,35 @@
 //! Third-party scanners and clients of EtherNet/IP, each at `wsg-sim --ethernetip` and through `wsg gateway`: `ethernetip`,
-//! `cm-ethernetip`, `pycomm3` and `cpppo` (PyPI), and `st-ethernet-ip` (npm), with `tshark` as a monitor.
+//! `cm-ethernetip`, `pycomm3` and `cpppo` (PyPI), `st-ethernet-ip` (npm) and `rseip`, with `tshark` as a monitor; and ten owners of
+//! ten grippers.
 //!
 //! `cargo xtask test` selects the tests by the programs in their names, and skips missing ones: `pypi_ethernetip`, `cm_ethernetip`,
 //! `st_ethernet_ip`, `pycomm3`, `cpppo`, `tshark`.
 
+use crate::modbus_tcp::{BOUND, serve, through_gateway};
 use crate::profinet::{Capture, SUSPICIOUS};
+use host_tests::ethernetip::{Scanner, own_address, until};
 use host_tests::example;
 use host_tests::gateway::{Gateway, unpaused};
 use host_tests::masters::{node, printed, python, python_of};
+use rseip::cip::epath::EPath;
+use rseip::cip::identity::IdentityObject;
+use rseip::cip::service::{CommonServices, MessageService};
+use rseip::client::{EipClient, EipDiscovery};
+use rseip::futures_util::StreamExt;
+use std::array;
 use std::fmt::Write;
-use std::net::TcpStream;
+use std::net::{Ipv4Addr, SocketAddrV4, TcpStream};
+use std::pin::pin;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Mutex, PoisonError};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use tokio::time::timeout;
 use wsg_fieldbus::{CommandFlags, GripperFlags, OutputImage};
+use wsg_protocol::Status;
 use wsg_protocol::types::SystemFlags;
-use wsg_sim::server::{Lines, ServerThread};
-use wsg_sim::{Config, Part};
+use wsg_sim::server::{EthernetIpLine, Lines, ServerThread};
 
-/// The adapter's address. The scanners have 127.0.0.1.
-const ADDRESS: &str = "127.0.0.2";
+/// The adapter's address in the scripts. The scanners have 127.0.0.1.
+const ADDRESS: Ipv4Addr = Ipv4Addr::new(127, 0, 0, 2);
 
 /// Held by the running test: cyclic data has a fixed port.
 static PORTS: Mutex<()> = Mutex::new(());
@@ -81,10 +90,14 @@ impl Step {
 struct Gripper(Child);
 
 impl Gripper {
-    fn start() -> Self {
-        let arguments = ["--part", "20", "--time-scale", "10", "--ethernetip", ADDRESS];
+    /// Starts a gripper, which accepts scanners when this returns.
+    fn start(address: Ipv4Addr) -> Self {
+        let arguments = ["--part", "20", "--time-scale", "10", "--ethernetip", &address.to_string()];
         let mut command = Command::new(example::program("wsg-sim"));
-        Self(command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).spawn().unwrap())
+        let gripper =
+            Self(command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).spawn().unwrap());
+        until("the adapter listens", || TcpStream::connect((address, bus_ethernetip::PORT)).is_ok());
+        gripper
     }
 }
 
@@ -95,40 +108,14 @@ impl Drop for Gripper {
     }
 }
 
-/// Waits until the adapter listens.
-fn await_adapter() {
-    let end = Instant::now() + Duration::from_secs(60);
-    while TcpStream::connect((ADDRESS, bus_ethernetip::PORT)).is_err() {
-        assert!(Instant::now() < end, "no adapter listens");
-        sleep(Duration::from_millis(10));
-    }
-}
-
-/// Runs a test at a virtual gripper, and through a gateway to another one.
-fn at_gripper_and_gateway(test: impl Fn()) {
+/// Runs a test at a virtual gripper with this address, and through a gateway with it to another gripper.
+fn at_gripper_and_gateway(address: Ipv4Addr, test: impl Fn()) {
     let _ports = PORTS.lock().unwrap_or_else(PoisonError::into_inner);
     {
-        let _gripper = Gripper::start();
-        await_adapter();
+        let _gripper = Gripper::start(address);
         test();
     }
-    println!("through a gateway:");
-    let start = || {
-        let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
-        let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
-        let served = ServerThread::start(config, &lines, None).unwrap();
-        let gateway = Gateway::start(served.tcp_address().unwrap(), &["--ethernetip", ADDRESS]);
-        (served, gateway)
-    };
-    unpaused(
-        start,
-        |(_, gateway)| gateway,
-        |_, _| false,
-        |_| {
-            await_adapter();
-            test();
-        },
-    );
+    through_gateway(&["--ethernetip", &address.to_string()], |_| test());
 }
 
 #[track_caller]
@@ -141,7 +128,7 @@ fn assert_prints(output: &Output, end: &str) {
 fn run_cycle(scanner: impl Fn(&[&str]) -> Output) {
     let steps = steps();
     let steps: Vec<_> = steps.iter().map(String::as_str).collect();
-    at_gripper_and_gateway(|| assert_prints(&scanner(&steps), "cycle done"));
+    at_gripper_and_gateway(ADDRESS, || assert_prints(&scanner(&steps), "cycle done"));
 }
 
 const CYCLE: &str = include_str!("ethernetip/cycle.py");
@@ -169,38 +156,154 @@ fn st_ethernet_ip_runs_a_grip_cycle() {
 #[test]
 #[ignore = "needs pycomm3: see the top of this file"]
 fn pycomm3_identifies_and_reads() {
-    at_gripper_and_gateway(|| {
-        assert_prints(&python(include_str!("ethernetip/pycomm3.py"), &[]), "passed");
-    });
+    let script = include_str!("ethernetip/pycomm3.py");
+    at_gripper_and_gateway(ADDRESS, || assert_prints(&python(script, &[]), "passed"));
 }
 
 #[test]
 #[ignore = "needs cpppo: see the top of this file"]
 fn cpppo_identifies_and_reads() {
-    at_gripper_and_gateway(|| assert_prints(&python(include_str!("ethernetip/cpppo.py"), &[]), "passed"));
+    let script = include_str!("ethernetip/cpppo.py");
+    at_gripper_and_gateway(ADDRESS, || assert_prints(&python(script, &[]), "passed"));
 }
 
 #[test]
-#[ignore = "needs st-ethernet-ip, pycomm3, tshark and root: run `cargo xtask test`"]
-fn tshark_has_no_warning_about_st_ethernet_ip_and_pycomm3() {
+fn rseip_identifies_and_reads() {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let address = own_address();
+    at_gripper_and_gateway(address, || {
+        let read = runtime.block_on(async { timeout(BOUND, read_with_rseip(address)).await });
+        read.expect("the steps end within the time limit").unwrap();
+    });
+}
+
+/// Identifies a gripper and reads it. `rseip` wraps each request in an Unconnected_Send.
+async fn read_with_rseip(address: Ipv4Addr) -> rseip::Result<()> {
+    let discovery = EipDiscovery::new(Ipv4Addr::LOCALHOST).broadcast(address).forever();
+    let mut devices = pin!(discovery.run::<IdentityObject<'static>>().await?);
+    let (identity, from) = devices.next().await.unwrap();
+    assert_eq!((&identity.product_name[..], identity.product_code), ("WSG", 1));
+    assert_eq!(from, (address, bus_ethernetip::PORT).into());
+
+    let path = |[class, instance, attribute]: [u16; 3]| {
+        EPath::new().with_class(class).with_instance(instance).with_attribute(attribute)
+    };
+    let mut client = EipClient::new_host_lookup(address.to_string()).await?;
+    let name: Vec<u8> = client.get_attribute_single(path([1, 1, 7])).await?;
+    assert_eq!(name, b"\x03WSG");
+    let inputs: Vec<u8> = client.get_attribute_single(path([4, 100, 3])).await?;
+    assert_eq!((inputs.len(), inputs[0]), (12, GripperFlags::IDLE.bits()));
+    let width: u16 = client.get_attribute_single(path([0x64, 4, 3])).await?;
+    assert_eq!(width.to_be_bytes(), inputs[6..8]);
+    let refused = client.get_attribute_single::<u16>(path([0x64, 4, 999])).await;
+    assert!(refused.unwrap_err().to_string().contains("CIP general status: 20"), "no such register");
+    // No explicit message sets outputs.
+    let refused = client.set_attribute_single(path([4, 150, 3]), [0xFF_u8; 8]).await;
+    assert!(refused.unwrap_err().to_string().contains("CIP general status: 14"), "outputs are read only");
+    let outputs: Vec<u8> = client.get_attribute_single(path([4, 150, 3])).await?;
+    assert_eq!(outputs, [0; 8]);
+    client.close().await
+}
+
+#[test]
+fn ten_owners_in_one_process_command_their_own_grippers() {
+    let adapters: [_; 10] = array::from_fn(|_| own_address());
+    {
+        let line = |ip| EthernetIpLine {
+            address: SocketAddrV4::new(ip, bus_ethernetip::PORT),
+            vendor: EthernetIpLine::VENDOR,
+        };
+        let grippers = adapters.map(|ip| serve(Lines { ethernetip: Some(line(ip)), ..Lines::default() }));
+        command_own_grippers(&adapters, &grippers);
+    }
+    println!("through a gateway:");
+    let start = || {
+        let grippers = adapters.map(|_| serve(Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() }));
+        let mut config = String::new();
+        for (ip, gripper) in adapters.iter().zip(&grippers) {
+            let gripper = gripper.tcp_address().unwrap();
+            // A busy machine is less punctual than a PLC.
+            writeln!(
+                config,
+                "[[gripper]]\ngripper = \"tcp://{gripper}\"\nmodbus = \"127.0.0.1:0\"\nethernetip = \"{ip}\"\n\
+                 [gripper.delivered]\nBUS_TIMEOUT = 60000"
+            )
+            .unwrap();
+        }
+        (grippers, Gateway::of_config(&config, adapters.len()))
+    };
+    unpaused(
+        start,
+        |(_, gateway)| gateway,
+        |_, _| false,
+        |(grippers, _)| command_own_grippers(&adapters, grippers),
+    );
+}
+
+/// Moves each gripper to a width of its own with an owner of its own, at the same time. FASTSTOP of one owner stops its gripper only.
+fn command_own_grippers(adapters: &[Ipv4Addr], grippers: &[ServerThread]) {
+    let owners: Vec<_> = adapters.iter().map(|ip| Scanner::start(*ip, OutputImage::ZERO)).collect();
+    let inputs = |owner: &Scanner| owner.read(BOUND).expect("inputs arrive");
+    until("the grippers are connected", || {
+        owners.iter().all(|owner| inputs(owner).status != Status::IoError)
+    });
+    let write = |at: usize, flags, width, speed| {
+        let outputs = OutputImage { flags, user: 0, width, speed, force_limit: 40_00 };
+        assert!(owners[at].write(outputs, BOUND), "{flags:?} arrives at gripper {at}");
+    };
+    let command = |flags, width: &dyn Fn(usize) -> i16, speed| {
+        for flags in [CommandFlags::empty(), flags] {
+            (0..owners.len()).for_each(|at| write(at, flags, width(at), speed));
+        }
+    };
+    let has = |at: usize, flag| grippers[at].state().flags.contains(flag);
+    let is_at = |at: usize, width: i16| {
+        (grippers[at].state().width - f32::from(width) / 100.0).abs() < 0.01
+            && inputs(&owners[at]).width == width
+    };
+
+    let near = |at: usize| 25_00 + 5_00 * at as i16;
+    let far = |at: usize| 105_00 - near(at) / 10;
+    command(CommandFlags::HOMING, &near, 100_00);
+    until("the fingers are referenced", || {
+        (0..owners.len())
+            .all(|at| has(at, SystemFlags::REFERENCED) && inputs(&owners[at]).status == Status::Success)
+    });
+    command(CommandFlags::MOVE, &near, 400_00);
+    until("the fingers have moved", || (0..owners.len()).all(|at| is_at(at, near(at))));
+    command(CommandFlags::MOVE, &far, 5_00);
+    let last = owners.len() - 1;
+    write(last, CommandFlags::FASTSTOP, far(last), 5_00);
+    until("the last gripper stops", || has(last, SystemFlags::FAST_STOP));
+    until("the others continue", || (0..last).all(|at| is_at(at, far(at))));
+    for at in 0..owners.len() {
+        assert_eq!(has(at, SystemFlags::FAST_STOP), at == last, "gripper {at}");
+    }
+}
+
+#[test]
+#[ignore = "needs ethernetip, st-ethernet-ip, pycomm3, tshark and root: run `cargo xtask test`"]
+fn tshark_has_no_warning_about_pypi_ethernetip_st_ethernet_ip_and_pycomm3() {
     let _ports = PORTS.lock().unwrap_or_else(PoisonError::into_inner);
     let filter = format!("host {ADDRESS} and (port 44818 or port 2222)");
     let mut tshark = Command::new("tshark");
     tshark.args(["-i", "lo", "-f", &filter]);
     let file = std::env::temp_dir().join(format!("ethernetip-{}.pcap", std::process::id()));
     let mut capture = Capture::start(tshark, file);
-    let _gripper = Gripper::start();
-    await_adapter();
+    let _gripper = Gripper::start(ADDRESS);
     let steps = steps();
     let steps: Vec<_> = steps.iter().map(String::as_str).collect();
-    // pycomm3 first, because st-ethernet-ip never closes its connection, and pycomm3 expects no outputs.
+    // st-ethernet-ip last, because it never closes its connection; pycomm3 first, because it expects no outputs.
     assert_prints(&python(include_str!("ethernetip/pycomm3.py"), &[]), "passed");
+    assert_prints(&python(include_str!("ethernetip/multicast.py"), &[]), "passed");
     assert_prints(&node(include_str!("ethernetip/st_ethernet_ip.js"), &steps), "cycle done");
     capture.wait_for(10, "cip.service == 0x8e", &["frame.number"]);
     capture.end();
-    // It decodes the cyclic data of both directions.
-    for filter in ["udp.srcport == 2222 && ip.src == 127.0.0.2 && cipio", "ip.dst == 127.0.0.2 && cipio"] {
-        assert!(capture.packets(filter, &["frame.number"]).len() > steps.len(), "{filter}");
+    // It decodes the cyclic data of both directions, and of the group.
+    let directions =
+        ["ip.dst == 127.0.0.1 && udp.srcport == 2222", "ip.dst == 127.0.0.2", "ip.dst == 239.192.1.32"];
+    for filter in directions.map(|filter| format!("{filter} && cipio")) {
+        assert!(capture.packets(&filter, &["frame.number"]).len() > steps.len(), "{filter}");
     }
     let warnings = capture.packets(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
     assert_eq!(warnings, Vec::<String>::new());

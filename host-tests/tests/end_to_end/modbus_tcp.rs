@@ -12,28 +12,36 @@ use host_tests::masters::{mbpoll, node, paste, printed, python};
 use std::net::{SocketAddr, TcpListener};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 use tokio_modbus::client::{Context, tcp};
 use tokio_modbus::prelude::{ExceptionCode, ReadCode, Reader, Slave, Writer};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
 /// Time limit of every wait.
-const BOUND: Duration = Duration::from_secs(60);
+pub(crate) const BOUND: Duration = Duration::from_secs(60);
+/// Pause between two requests: without it, a master would keep the gateway from the processor.
+const PAUSE: Duration = Duration::from_millis(5);
 
-/// Runs a test at a gripper with a part of 20 mm, and through a gateway to another one.
+/// Starts a gripper with a part of 20 mm.
+pub(crate) fn serve(lines: Lines) -> ServerThread {
+    let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
+    ServerThread::start(config, &lines, None).unwrap()
+}
+
+/// Runs a test at a gripper, and through a gateway to another one.
 fn at_gripper_and_gateway(test: impl Fn(SocketAddr)) {
-    let any = "127.0.0.1:0".parse().ok();
-    let serve = |lines| {
-        let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
-        ServerThread::start(config, &lines, None).unwrap()
-    };
-    let served = serve(Lines { modbus: any, ..Lines::default() });
+    let served = serve(Lines { modbus: "127.0.0.1:0".parse().ok(), ..Lines::default() });
     test(served.modbus_address().unwrap());
+    through_gateway(&[], test);
+}
+
+/// Runs a test with the address for Modbus/TCP of a gateway with these options, which is connected to its gripper.
+pub(crate) fn through_gateway(options: &[&str], test: impl Fn(SocketAddr)) {
     println!("through a gateway:");
     let start = || {
-        let served = serve(Lines { tcp: any, ..Lines::default() });
-        let gateway = Gateway::start(served.tcp_address().unwrap(), &[]);
+        let served = serve(Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() });
+        let gateway = Gateway::start(served.tcp_address().unwrap(), options);
         (served, gateway)
     };
     unpaused(
@@ -43,7 +51,9 @@ fn at_gripper_and_gateway(test: impl Fn(SocketAddr)) {
         |(_, gateway)| {
             with_tokio_modbus(gateway.modbus, async |context| {
                 // The gripper answers.
-                while context.read_input_registers(0, 6).await.unwrap().is_err() {}
+                while context.read_input_registers(0, 6).await.unwrap().is_err() {
+                    sleep(PAUSE).await;
+                }
                 // BUS_TIMEOUT: a busy machine is less punctual than a PLC.
                 context.write_single_register(101, 60_000).await.unwrap().unwrap();
             });
@@ -318,6 +328,7 @@ pub(crate) fn grip_with_tokio_modbus(address: SocketAddr) {
                 if image[5] != 26 {
                     break image;
                 }
+                sleep(PAUSE).await;
             };
             assert_eq!((end[0], end[5]), (state, status), "{flags:04X}: {end:?}");
         }

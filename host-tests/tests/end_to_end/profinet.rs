@@ -41,7 +41,7 @@ impl Network {
         let line = ProfinetLine { interface: "eth0".to_owned(), stored, keep: None };
         let control = "127.0.0.1:0".parse().ok();
         let lines = Lines { profinet: Some(line), control, ..Lines::default() };
-        let server = self.0.at_gripper(|| ServerThread::start(config, &lines, None).unwrap());
+        let server = self.0.at(End::Gripper, || ServerThread::start(config, &lines, None).unwrap());
         prioritize_grippers();
         server
     }
@@ -49,7 +49,7 @@ impl Network {
     /// Waits until `/state` of a gripper shows these outputs.
     fn await_outputs(&self, server: &ServerThread, expected: &str) {
         let (address, expected) = (server.control_address().unwrap(), format!("\"output\":{expected}"));
-        self.0.at_gripper(|| {
+        self.0.at(End::Gripper, || {
             let end = Instant::now() + Duration::from_secs(60);
             loop {
                 let mut stream = TcpStream::connect(address).unwrap();
@@ -67,7 +67,7 @@ impl Network {
     /// Starts `wsg gateway` for a gripper on TCP.
     fn serve_gateway(&self, config: Config, options: &[&str]) -> (Program, ServerThread) {
         let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
-        let server = self.0.at_gripper(|| ServerThread::start(config, &lines, None).unwrap());
+        let server = self.0.at(End::Gripper, || ServerThread::start(config, &lines, None).unwrap());
         let address = format!("tcp://{}", server.tcp_address().unwrap());
         let arguments = [&["gateway", "--gripper", &address, "--profinet", "eth0"], options].concat();
         let program = self.start("wsg", &arguments);

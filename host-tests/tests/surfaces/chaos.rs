@@ -4,7 +4,8 @@
 //! that waited for too long, and no motion outlives its PLC, its gateway or the connection between them. Afterwards, the gateway
 //! serves again.
 //!
-//! `WSG_CHAOS=1500 cargo test -p host-tests --test surfaces chaos` runs more cases.
+//! `WSG_CHAOS=1500 cargo test -p host-tests --test surfaces chaos` runs more cases. Pulled cables require root: add
+//! `-- --include-ignored`.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -18,10 +19,11 @@ use host_tests::chance::Chance;
 use host_tests::extent;
 use host_tests::gateway::Gateway;
 use host_tests::modbus_tcp::Master;
+use host_tests::namespaces::{End, Network};
 use rustix::process::{Pid, Signal, kill_process};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{CommandId, Status, SystemFlags};
-use wsg_sim::server::ServerThread;
+use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
 use crate::station::{BOUND, Line, Station, Way, lines};
@@ -63,6 +65,16 @@ enum Side {
     Gripper,
 }
 
+impl Side {
+    /// Returns the interface of the cable, its address at the gateway, and at the other end.
+    const fn cable(self) -> (&'static str, &'static str, &'static str) {
+        match self {
+            Self::Plc => ("eth1", "192.168.8.1", "192.168.8.2"),
+            Self::Gripper => ("eth2", "192.168.9.1", "192.168.9.2"),
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     /// SIGKILL, and a new process.
@@ -74,15 +86,21 @@ enum Fault {
     Reset(Side),
     /// A line on which nothing passes in these directions for this time: delay, or a half-open connection.
     Hold(Side, &'static [Way], Duration),
+    /// A cable without carrier for this time, because the interface of this end is down.
+    Pull(Side, End, Duration),
 }
 
 impl Fault {
-    fn random(chance: &mut Chance) -> Self {
+    fn random(chance: &mut Chance, has_cables: bool) -> Self {
         let short = chance.hits(0.5);
         let ms =
             if short { 1 + chance.below(SHORT_MS) } else { LONG_MS + chance.below(LONGEST_MS - LONG_MS) };
         let time = Duration::from_millis(ms);
         let side = if chance.hits(0.5) { Side::Plc } else { Side::Gripper };
+        if has_cables {
+            let end = if chance.hits(0.5) { End::Gripper } else { End::Controller };
+            return Self::Pull(side, end, time);
+        }
         match chance.below(9) {
             0 => Self::Kill,
             1 => Self::Stop(time),
@@ -98,7 +116,9 @@ impl Fault {
     fn ends_connection(self) -> bool {
         match self {
             Self::Kill | Self::Sever(Side::Gripper) | Self::Reset(Side::Gripper) => true,
-            Self::Stop(time) | Self::Hold(Side::Gripper, _, time) => time >= Duration::from_millis(LONG_MS),
+            Self::Stop(time) | Self::Hold(Side::Gripper, _, time) | Self::Pull(Side::Gripper, _, time) => {
+                time >= Duration::from_millis(LONG_MS)
+            }
             _ => false,
         }
     }
@@ -110,6 +130,7 @@ impl Fault {
             Self::Hold(Side::Plc, ways, time) => {
                 ways.contains(&Way::Requests) && time >= Duration::from_millis(LONG_MS)
             }
+            Self::Pull(Side::Plc, _, time) => time >= Duration::from_millis(LONG_MS),
             _ => false,
         }
     }
@@ -170,11 +191,13 @@ impl Plc {
         *self.image.lock().expect("no panic") = image;
         self.edges.lock().expect("no panic").push((image.flags, Instant::now()));
         master.write(image)?;
+        let start = Instant::now();
         loop {
-            let inputs = master.read()?;
-            if inputs.status != Status::CmdPending || self.is_over() {
-                return Ok(inputs.status);
+            let status = master.read()?.status;
+            if status != Status::CmdPending || self.is_over() {
+                return Ok(status);
             }
+            ensure!(start.elapsed() < BOUND, "the command does not end");
             sleep(SCAN);
         }
     }
@@ -193,21 +216,27 @@ impl Plc {
     }
 }
 
-struct Rig {
+struct Rig<'a> {
     station: Station,
     gateway: Gateway,
     /// The line between PLC and gateway.
     plc: Line,
+    /// The cables, with the gateway alone at the controller's end.
+    network: Option<&'a Network>,
 }
 
-impl Rig {
-    fn start() -> Self {
+impl<'a> Rig<'a> {
+    fn start(network: Option<&'a Network>) -> Self {
         let config = Config { part: Part::of_width(5.0), homing_speed: Some(400.0), ..Config::default() };
-        let gripper = ServerThread::start(config, &lines(), None).expect("the server starts");
+        let mut lines = lines();
+        if network.is_some() {
+            let (_, _, address) = Side::Gripper.cable();
+            lines = Lines { tcp: format!("{address}:0").parse().ok(), ..lines };
+        }
+        let gripper = ServerThread::start(config, &lines, None).expect("the server starts");
         let station = Station::of(gripper, None);
-        let gateway = Gateway::start(station.tcp.address, &[]);
-        let plc = Line::to(gateway.modbus);
-        Self { station, gateway, plc }
+        let (gateway, plc) = gateway(network, station.tcp.address);
+        Self { station, gateway, plc, network }
     }
 
     fn line(&self, side: Side) -> &Line {
@@ -239,8 +268,7 @@ impl Rig {
             Fault::Kill => {
                 self.signal(Signal::KILL);
                 self.is_stopped_fast();
-                self.gateway = Gateway::start(self.station.tcp.address, &[]);
-                self.plc = Line::to(self.gateway.modbus);
+                (self.gateway, self.plc) = gateway(self.network, self.station.tcp.address);
                 *plc.gateway.lock().expect("no panic") = self.plc.address;
             }
             Fault::Stop(time) => {
@@ -262,13 +290,16 @@ impl Rig {
             Fault::Reset(side) => self.line(side).reset(),
             Fault::Hold(side, ways, time) => {
                 ways.iter().for_each(|way| self.line(side).hold(*way));
-                let held = Instant::now();
-                sleep(time);
-                if fault.ends_bus() {
-                    self.rests();
-                    discarded = held..Instant::now() - TOO_OLD;
-                }
+                discarded = self.wait(fault, time);
                 ways.iter().for_each(|way| self.line(side).release(*way));
+            }
+            Fault::Pull(side, end, time) => {
+                let plug = |is_plugged| {
+                    self.network.expect("the rig has cables").plug(end, side.cable().0, is_plugged);
+                };
+                plug(false);
+                discarded = self.wait(fault, time);
+                plug(true);
             }
         }
         if fault.ends_connection() {
@@ -277,9 +308,20 @@ impl Rig {
         discarded
     }
 
+    /// Waits until a fault that holds a line has had its effect. Returns the time in which an edge of the PLC must start nothing.
+    fn wait(&self, fault: Fault, time: Duration) -> Range<Instant> {
+        let held = Instant::now();
+        sleep(time);
+        if fault.ends_bus() {
+            self.rests();
+            return held..Instant::now() - TOO_OLD;
+        }
+        held..held
+    }
+
     /// Runs a case.
     fn case(&mut self, chance: &mut Chance) {
-        let (is_slow, fault) = (chance.hits(0.3), Fault::random(chance));
+        let (is_slow, fault) = (chance.hits(0.3), Fault::random(chance, self.network.is_some()));
         let moment = Duration::from_millis(chance.below(1_500));
         let _case = Case(format!("{fault:?} after {moment:?}, slow: {is_slow}"));
         let plc = Plc {
@@ -334,6 +376,20 @@ impl Rig {
     }
 }
 
+/// Starts a gateway. Returns it, and the line of its PLC: a cable, or a line on this computer.
+fn gateway(network: Option<&Network>, gripper: SocketAddr) -> (Gateway, Line) {
+    let Some(network) = network else {
+        let gateway = Gateway::start(gripper, &[]);
+        let plc = Line::to(gateway.modbus);
+        return (gateway, plc);
+    };
+    let ((_, address, _), gripper) = (Side::Plc.cable(), format!("tcp://{gripper}"));
+    let command = Gateway::with(&["--gripper", &gripper, "--modbus", &format!("{address}:0")]);
+    let gateway = network.at(End::Controller, || Gateway::spawn(command, 1));
+    let plc = Line::on_ethernet(gateway.modbus, |_, _| ());
+    (gateway, plc)
+}
+
 /// Ends the PLC.
 struct Over<'a>(&'a Plc);
 
@@ -354,17 +410,40 @@ impl Drop for Case {
     }
 }
 
-#[test]
-fn chaos_around_a_gateway_starts_nothing_and_stops_every_motion() {
-    let cases = std::env::var("WSG_CHAOS").map_or(extent::of(50) as u64, |cases| cases.parse().unwrap());
+/// Runs the cases at the end of the gripper and the PLC.
+fn run(whole: usize, network: impl Fn() -> Option<Network> + Sync) {
+    let cases = std::env::var("WSG_CHAOS").map_or(extent::of(whole) as u64, |cases| cases.parse().unwrap());
+    let run = |first, network: Option<&Network>| {
+        let mut rig = Rig::start(network);
+        for number in (first..cases).step_by(AT_ONCE as usize) {
+            rig.case(&mut Chance::new(number));
+        }
+    };
     thread::scope(|threads| {
         for first in 0..AT_ONCE {
-            threads.spawn(move || {
-                let mut rig = Rig::start();
-                for number in (first..cases).step_by(AT_ONCE as usize) {
-                    rig.case(&mut Chance::new(number));
-                }
+            let (run, network) = (&run, &network);
+            threads.spawn(move || match network() {
+                Some(network) => network.at(End::Gripper, || run(first, Some(&network))),
+                None => run(first, None),
             });
         }
+    });
+}
+
+#[test]
+fn chaos_around_a_gateway_starts_nothing_and_stops_every_motion() {
+    run(50, || None);
+}
+
+#[test]
+#[ignore = "needs root: run `cargo xtask test`"]
+fn chaos_of_pulled_cables_in_namespaces_starts_nothing_and_ends_every_motion() {
+    run(25, || {
+        let network = Network::new();
+        for side in [Side::Plc, Side::Gripper] {
+            let (interface, gateway, other) = side.cable();
+            network.add_cable(interface, &[(End::Controller, gateway), (End::Gripper, other)]);
+        }
+        Some(network)
     });
 }

@@ -3,7 +3,7 @@
 //!
 //! What a promise requires is judged beside the gripper: by its fingers and its force limit, and by the frames on its line.
 
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
 mod chaos;
 mod control;
 #[cfg(target_os = "linux")]

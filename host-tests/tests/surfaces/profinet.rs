@@ -22,7 +22,7 @@ pub(crate) fn station() -> Station {
     let network = Network::new();
     let line = ProfinetLine { interface: "eth0".to_owned(), stored: Stored::NONE, keep: None };
     let lines = Lines { profinet: Some(line), ..station::lines() };
-    let gripper = network.at_gripper(|| ServerThread::start(Config::default(), &lines, None));
+    let gripper = network.at(End::Gripper, || ServerThread::start(Config::default(), &lines, None));
     prioritize_grippers();
     // The number of the network takes the place of a port.
     let address = (Ipv4Addr::UNSPECIFIED, network.number()).into();

@@ -4,6 +4,7 @@
 use std::fmt;
 use std::future::Future;
 use std::io::{self, ErrorKind};
+use std::str::FromStr;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -35,7 +36,7 @@ const SERVICE_PORT: &str =
     "the board's USB connector; on a board with two, such as the B-L475E-IOT01A, the one of the ST-Link";
 
 /// Default port of Modbus/TCP.
-pub(crate) const MODBUS_PORT: u16 = 502;
+const MODBUS_PORT: u16 = 502;
 
 /// Number of attempts for a read request.
 const TRIES: u32 = 3;
@@ -61,6 +62,42 @@ pub(crate) struct Client {
     /// The open port, or `None` after a failure.
     context: Option<Context>,
     image_was_read: bool,
+}
+
+/// The address of a gateway: `HOST[:502][?unit=1]`, with or without `tcp://`.
+#[derive(Clone, Debug)]
+pub(crate) struct GatewayAddress {
+    /// Host name or IP address, and port.
+    host: String,
+    unit: u8,
+}
+
+impl GatewayAddress {
+    /// Returns the address of a port, with the unit that several grippers on it have.
+    pub(crate) fn new(host: impl fmt::Display, unit: Option<u8>) -> Self {
+        Self { host: host.to_string(), unit: unit.unwrap_or(BusConfig::SERVICE.unit) }
+    }
+}
+
+impl FromStr for GatewayAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("wrong address `{text}`; expected tcp://HOST[:502][?unit=1]");
+        let place = after_scheme(text, "tcp://").unwrap_or(text);
+        let (host, unit) = match place.split_once("?unit=") {
+            Some((host, unit)) => (host, Some(unit.parse().map_err(|_| wrong())?)),
+            None => (place, None),
+        };
+        Ok(Self::new(with_port(host, MODBUS_PORT, wrong)?, unit))
+    }
+}
+
+impl fmt::Display for GatewayAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { host, unit } = self;
+        if *unit == BusConfig::SERVICE.unit { f.write_str(host) } else { write!(f, "{host}?unit={unit}") }
+    }
 }
 
 /// Why a request was not carried out.
@@ -91,7 +128,7 @@ impl fmt::Display for Failure {
 impl std::error::Error for Failure {}
 
 impl Client {
-    /// Opens the serial port, or the connection to `tcp://HOST[:PORT][?unit=1]`, and checks that a bridge with the supported register map
+    /// Opens the serial port, or the connection to `tcp://HOST[:502][?unit=1]`, and checks that a bridge with the supported register map
     /// responds.
     pub(crate) fn open(port: &str) -> Result<Self> {
         let runtime =
@@ -262,10 +299,10 @@ fn is_of_the_port(error: &io::Error) -> bool {
     !matches!(error.kind(), ErrorKind::InvalidData | ErrorKind::InvalidInput | ErrorKind::TimedOut)
 }
 
-/// Opens the serial port of a service port, or the connection to `tcp://HOST[:502]`.
+/// Opens the serial port of a service port, or the connection to `tcp://HOST[:502][?unit=1]`.
 pub(crate) async fn connect(port: &str) -> Result<Context> {
-    if let Some(host) = after_scheme(port, "tcp://") {
-        return connect_to_gateway(host).await;
+    if after_scheme(port, "tcp://").is_some() {
+        return connect_to_gateway(&port.parse().map_err(anyhow::Error::msg)?).await;
     }
     let opened = SerialPort::open(port, BusConfig::SERVICE.baud);
     let opened = opened.map_err(|error| anyhow::anyhow!(not_opened(port, &error)))?;
@@ -274,16 +311,10 @@ pub(crate) async fn connect(port: &str) -> Result<Context> {
     Ok(rtu::attach_slave(WithoutStrays::new(opened), Slave(BusConfig::SERVICE.unit)))
 }
 
-async fn connect_to_gateway(host: &str) -> Result<Context> {
-    let wrong = || format!("wrong address `tcp://{host}`; expected tcp://HOST[:PORT][?unit=1]");
-    let (host, unit) = match host.split_once("?unit=") {
-        Some((host, unit)) => (host, unit.parse().map_err(|_| anyhow::anyhow!(wrong()))?),
-        None => (host, BusConfig::SERVICE.unit),
-    };
-    let host = with_port(host, MODBUS_PORT, wrong).map_err(anyhow::Error::msg)?;
-    let stream = within(TcpStream::connect(&host)).await.unwrap_or_else(|| Err(ErrorKind::TimedOut.into()));
+async fn connect_to_gateway(GatewayAddress { host, unit }: &GatewayAddress) -> Result<Context> {
+    let stream = within(TcpStream::connect(host)).await.unwrap_or_else(|| Err(ErrorKind::TimedOut.into()));
     let stream = stream.with_context(|| format!("cannot connect to a gateway at {host}"))?;
-    Ok(tcp::attach_slave(stream, Slave(unit)))
+    Ok(tcp::attach_slave(stream, Slave(*unit)))
 }
 
 /// Describes why a port cannot be opened, and what to do.

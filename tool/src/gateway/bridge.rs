@@ -7,7 +7,8 @@ use std::cell::RefCell;
 use std::fmt::Display;
 use std::future::poll_fn;
 use std::io;
-use std::net::IpAddr;
+use std::mem;
+use std::net::{IpAddr, Ipv4Addr};
 use std::rc::Rc;
 use std::sync::OnceLock;
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -21,13 +22,15 @@ use tokio::task::yield_now;
 use tokio::time::sleep;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS};
 use wsg_bridge_fw::{BoardId, Bridge, Config, ResetCause, Station};
 use wsg_fieldbus::{InputImage, SilenceReaction};
 use wsg_protocol::{Status, SystemFlags};
 
 use super::config::GripperConfig;
 use super::line::{GripperLine, Stream};
-use crate::bridge::gateway_reports::Measured;
+use crate::bridge::State;
+use crate::bridge::gateway_reports::{self, Measured};
 use crate::file_flash::FileFlash;
 use crate::gripper::Address;
 use crate::{Severity, print_message};
@@ -37,6 +40,10 @@ pub(super) const TURN: Duration = Duration::from_millis(5);
 
 /// Longest time without a regular turn after which waiting input still counts. A request must never take effect a second late.
 const LONGEST_PAUSE: Duration = Duration::from_millis(800);
+
+/// Age of the gripper's last answer from which its values are not shown, and its line is lost. The session counts attempts
+/// instead: without a pause, it finds a silent gripper in less time.
+const SILENCE_TIME: Duration = Duration::from_secs(1);
 
 /// Time between two turns without input in which no request waits for long: such turns are regular. Several shorter pauses in a row
 /// are one.
@@ -61,6 +68,8 @@ const MAX_MESSAGES: usize = 64;
 
 /// Problem of a line after a pause of the computer.
 const PAUSED: &str = "this computer paused";
+/// Problem of a line to a silent gripper.
+const SILENT: &str = "the gripper does not answer";
 
 /// Pause between two attempts.
 const RETRY: Duration = Duration::from_millis(250);
@@ -93,7 +102,9 @@ struct Host {
     start: Duration,
     passed_at: Duration,
     regular_at: Duration,
-    /// When the line was last closed, or the gripper connected.
+    /// The last turn.
+    received_at: Duration,
+    /// When the line was last closed, or the gripper answered, at the latest.
     answered_at: Duration,
     /// End of the last turn without input after which a board feeds its watchdog.
     alive_at: Instant,
@@ -146,6 +157,7 @@ impl Gateway {
             start: now,
             passed_at: now,
             regular_at: now,
+            received_at: now,
             answered_at: now,
             alive_at: Instant::now(),
             is_ending: false,
@@ -224,6 +236,30 @@ impl Gateway {
         measured.answer(pdu, response).unwrap_or(len)
     }
 
+    /// Reads what [`read_gateway`](crate::bridge::read_gateway) reads, as one more master that never writes, but without a
+    /// connection, which would be counted. Returns `None` after a pause.
+    pub(super) fn read(&self) -> Option<(State, Vec<u16>)> {
+        // The first request for the image subscribes to width and force.
+        let image = self.read_registers(4, 0, (InputImage::LEN / 2) as u16);
+        let image: Option<Vec<u8>> = image.map(|it| it.into_iter().flat_map(u16::to_be_bytes).collect());
+        let settings = self.read_registers(3, FIRST_SETTING, SETTINGS.len() as u16)?;
+        let reports = self.read_registers(4, FIRST_REPORT, REPORTS.len() as u16)?;
+        let own = self.read_registers(4, gateway_reports::FIRST, gateway_reports::LEN)?;
+        let image = image.and_then(|bytes| bytes.try_into().ok()).map(InputImage::from_bytes);
+        Some((State { settings: Record::try_from(settings).ok()?, reports, image }, own))
+    }
+
+    /// Reads holding (3) or input (4) registers. Returns `None` after an exception, and after a pause.
+    fn read_registers(&self, function: u8, first: u16, count: u16) -> Option<Vec<u16>> {
+        let ([a1, a0], [q1, q0]) = (first.to_be_bytes(), count.to_be_bytes());
+        let mut response = [0; MAX_PDU_LEN];
+        let reader = (self.number(), Ipv4Addr::UNSPECIFIED.into());
+        let len = self.serve(reader, &[function, a1, a0, q1, q0], &mut response);
+        let [code, _, bytes @ ..] = response.get(..len)? else { return None };
+        (*code == function)
+            .then(|| bytes.as_chunks().0.iter().map(|word| u16::from_be_bytes(*word)).collect())
+    }
+
     /// Returns whether this master wrote last.
     pub(super) fn is_writer(&self, master: u64) -> bool {
         self.host.borrow().modbus.writer() == Some(master)
@@ -244,10 +280,12 @@ impl Gateway {
         self.host.borrow().measured.pauses
     }
 
-    /// Returns the input image for a cyclic bus. `None` while the gripper is not connected, and after a pause.
+    /// Returns the input image for a cyclic bus. `None` while the gripper is not connected or silent, and after a pause.
     pub(super) fn inputs(&self) -> Option<InputImage> {
         let mut host = self.host.borrow_mut();
-        let is_current = uptime().saturating_sub(host.passed_at) <= LONGEST_PAUSE;
+        let now = uptime();
+        let is_current = now.saturating_sub(host.passed_at) <= LONGEST_PAUSE
+            && now.saturating_sub(host.answered_at) <= SILENCE_TIME;
         let is_shown = is_current && host.station.bridge().is_connected();
         host.modbus.inputs().filter(|_| is_shown)
     }
@@ -385,7 +423,7 @@ impl Host {
         let input = if pause.is_some() { TcpInput::Paused } else { input };
         let received = match pause {
             Some(_) => Err(io::Error::other(PAUSED)),
-            None => self.line.receive(),
+            None => self.receive(now),
         };
         match received {
             // A line without a connection is known to be down only while it is closed, as on a board.
@@ -406,14 +444,13 @@ impl Host {
         // The commands that a silent gripper has not answered may still wait in the socket or port.
         let is_connected = self.station.bridge().is_connected();
         let is_silent = was_connected && !is_connected && !self.is_ending;
-        if !self.line.is_open() || is_connected {
+        if !self.line.is_open() {
             self.answered_at = now;
         }
-        let is_mute = now.saturating_sub(self.answered_at) > SETUP_TIME;
         // A turn that was interrupted must not send its command.
         let is_late = pause.is_none() && since + uptime().saturating_sub(now) > LONGEST_PAUSE;
-        let sent = if is_silent || is_mute {
-            Err(io::Error::other("the gripper does not answer"))
+        let sent = if is_silent {
+            Err(io::Error::other(SILENT))
         } else if is_late {
             Err(io::Error::other(PAUSED))
         } else {
@@ -428,6 +465,19 @@ impl Host {
             Err(error) => self.lose_line(&error),
         }
         pause
+    }
+
+    /// Takes the received bytes from the line. Returns an error without a line, and when the gripper has been silent for too long: in
+    /// this turn, masters already read that.
+    fn receive(&mut self, now: Duration) -> io::Result<()> {
+        let last = mem::replace(&mut self.received_at, now);
+        if self.line.receive()? {
+            // The answer may have waited since the last turn.
+            self.answered_at = last;
+        }
+        let at_most = if self.station.bridge().is_connected() { SILENCE_TIME } else { SETUP_TIME };
+        let is_silent = now.saturating_sub(self.answered_at) > at_most && !self.is_ending;
+        if is_silent { Err(io::Error::other(SILENT)) } else { Ok(()) }
     }
 
     /// Resets the line to the gripper, if it is open. The bridge forgets its pending commands.
@@ -467,14 +517,14 @@ impl Host {
 /// Returns the time since the computer's start. It includes the time for which the computer was suspended: a request from before must
 /// be found too old after it.
 #[cfg(target_os = "linux")]
-fn uptime() -> Duration {
+pub(super) fn uptime() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
 }
 
 /// Returns the time since the first call. On Windows, it includes the time for which the computer was suspended.
 #[cfg(not(target_os = "linux"))]
-fn uptime() -> Duration {
+pub(super) fn uptime() -> Duration {
     static FIRST: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
     FIRST.elapsed()
 }
@@ -506,4 +556,29 @@ fn is_at_rest(bridge: &Bridge) -> bool {
 
 fn is_fast_stopped(bridge: &Bridge) -> bool {
     bridge.input_image().system.contains(SystemFlags::FAST_STOP)
+}
+
+#[cfg(test)]
+mod tests {
+    use wsg_sim::server::{Lines, ServerThread};
+
+    use super::*;
+
+    /// A PROFINET controller reads between turns, too.
+    #[tokio::test]
+    async fn inputs_are_shown_for_a_second_after_the_last_answer() {
+        let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+        let gripper = ServerThread::start(wsg_sim::Config::default(), &lines, None).unwrap();
+        let config = GripperConfig::of(&format!("tcp://{}", gripper.tcp_address().unwrap()));
+        let gateway = Gateway::open(&config, &Rc::default()).unwrap();
+        let stream = Stream::open(&config.gripper).await.unwrap();
+        gateway.host.borrow_mut().line.open(stream);
+        let start = Instant::now();
+        while gateway.inputs().is_none() {
+            assert!(start.elapsed() < Duration::from_secs(60), "the gripper does not answer");
+            gateway.pass_time().await;
+        }
+        gateway.host.borrow_mut().answered_at -= Duration::from_millis(1_001);
+        assert_eq!(gateway.inputs(), None);
+    }
 }

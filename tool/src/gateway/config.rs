@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::path::{self, Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Error, Result, bail, ensure};
 use bus_profinet::Stored;
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Command, FromArgMatches, value_parser};
@@ -18,6 +18,7 @@ use wsg_sim::options_file::{OptionsFile, one_line};
 use super::Options;
 use crate::bridge::{names, settings_file};
 use crate::gripper::Address;
+use crate::listen_address;
 
 /// Where the keys of the file are described, for messages.
 const PAGE: &str = "docs/gateway.md";
@@ -54,6 +55,22 @@ struct Keys {
 }
 
 impl GripperConfig {
+    /// Returns a gripper without a PLC.
+    #[cfg(test)]
+    pub(super) fn of(address: &str) -> Self {
+        Self {
+            name: None,
+            gripper: address.parse().unwrap(),
+            modbus: None,
+            profinet: None,
+            ethernetip: None,
+            unit: None,
+            settings: None,
+            delivered: None,
+            label: String::new(),
+        }
+    }
+
     /// Returns the gripper of a command line, or of the options in a file.
     pub(super) fn new(options: &Options) -> Result<Self> {
         let gripper = options.gripper.clone();
@@ -130,18 +147,26 @@ fn station_file(settings: &Path) -> PathBuf {
     file.into()
 }
 
-/// Reads and checks a file.
+/// Reads and checks a file. Returns its grippers, and the address of the status page.
 ///
 /// # Errors
 /// The file cannot be read or is invalid. Reports the first mistake.
-pub(super) fn read(path: &Path) -> Result<Vec<GripperConfig>> {
+pub(super) fn read(path: &Path) -> Result<(Vec<GripperConfig>, Option<SocketAddr>)> {
     let file = OptionsFile::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let document = file.table()?;
-    let mut grippers: Vec<GripperConfig> = Vec::new();
+    let (mut grippers, mut page) = (Vec::<GripperConfig>::new(), None);
     for (key, value) in document.get_ref() {
         let place = file.place(key.span().start);
         let key: &str = key.get_ref();
-        ensure!(key == "gripper", "{place}: unknown key `{key}`; all keys belong below [[gripper]]");
+        if key == "page" {
+            let address = listen_address(value.get_ref().as_str().unwrap_or_default());
+            page = Some(address.map_err(Error::msg).with_context(|| format!("{place}: page"))?);
+            continue;
+        }
+        ensure!(
+            key == "gripper",
+            "{place}: unknown key `{key}`; all keys except page belong below [[gripper]]"
+        );
         let DeValue::Array(items) = value.get_ref() else {
             bail!("{place}: expected [[gripper]], in double brackets")
         };
@@ -163,7 +188,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<GripperConfig>> {
             gripper.label = gripper.name.clone().unwrap_or_else(|| gripper.gripper.to_string()) + ": ";
         }
     }
-    Ok(grippers)
+    Ok((grippers, page))
 }
 
 fn gripper_of(file: &OptionsFile, table: &DeTable<'_>, place: &str) -> Result<GripperConfig> {
@@ -208,6 +233,10 @@ mod tests {
     const RIGHT: &str = "[[gripper]]\ngripper = \"tcp://right\"\nmodbus = \"10.0.0.1:503\"\n";
 
     fn parsed(text: &str) -> Result<Vec<GripperConfig>> {
+        Ok(read_text(text)?.0)
+    }
+
+    fn read_text(text: &str) -> Result<(Vec<GripperConfig>, Option<SocketAddr>)> {
         let file = std::env::temp_dir().join(format!(
             "wsg-gateway-{}-{:?}.toml",
             std::process::id(),
@@ -241,6 +270,9 @@ mod tests {
         delivered[names::place("RECIPE3_WIDTH")] = 12_34;
         assert_eq!((left.delivered, right.delivered), (Some(delivered), None));
         assert_eq!(parsed(LEFT).unwrap()[0].label, "", "one gripper needs no name in messages");
+        let page = |text: &str| read_text(text).unwrap().1;
+        assert_eq!(page(&format!("page = \"10.0.0.1:80\"\n{LEFT}")), "10.0.0.1:80".parse().ok());
+        assert_eq!(page(LEFT), None, "no port is open by default");
     }
 
     #[test]
@@ -262,8 +294,10 @@ mod tests {
             (
                 format!("name = 1\n{LEFT}"),
                 ", line 1: ",
-                "unknown key `name`; all keys belong below [[gripper]]",
+                "unknown key `name`; all keys except page belong below [[gripper]]",
             ),
+            (format!("page = 8080\n{LEFT}"), ", line 1: ", "page: expected an address with a port"),
+            (of_left("page = \"localhost:0\""), ", line 5: ", "page is unknown"),
             (of_left("x = "), ", line 5: ", "expected TOML"),
             (of_left("name = \"x\""), ", line 5: ", "duplicate key"),
             (

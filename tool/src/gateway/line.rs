@@ -14,9 +14,10 @@ use socket2::SockRef;
 use tokio::net::{TcpStream, UdpSocket, lookup_host};
 use tokio::time::timeout;
 use wsg_protocol::frame::OVERHEAD;
+use wsg_protocol::{Event, FrameParser};
 
 #[cfg(unix)]
-use super::serial::Port;
+use super::port::Port;
 use crate::gripper::Address;
 
 /// Room for sent bytes, and for received ones. A burst of FAST STOPs has less, even as SLCAN.
@@ -28,6 +29,10 @@ const MAX_READS: usize = 64;
 /// Maximum number of bytes in a read. It is longer than any message, and the size of a datagram over Ethernet.
 const CHUNK_LEN: usize = 1_500;
 
+/// Maximum payload of a message that shows that the gripper answers. A longer one would delay the detection of the next messages
+/// after a damaged length.
+const ANSWER_LEN: usize = 16;
+
 /// Time-out of an attempt to connect to one address of the gripper.
 const CONNECT_TIME: Duration = Duration::from_secs(3);
 
@@ -36,7 +41,7 @@ pub(super) enum Stream {
     Tcp(TcpStream),
     Udp(UdpSocket, SocketAddr),
     #[cfg(unix)]
-    Serial(Port),
+    Port(Port),
 }
 
 impl Stream {
@@ -60,10 +65,14 @@ impl Stream {
                 Ok(Self::Udp(UdpSocket::bind((any, *answer_port)).await?, gripper))
             }
             #[cfg(unix)]
-            Address::Serial { device, rate } => Port::open(device, *rate).await.map(Self::Serial),
+            Address::Serial { device, rate } => Port::open(device, *rate).await.map(Self::Port),
             #[cfg(unix)]
             Address::Slcan { device, kbit, identifiers } => {
-                Port::open_slcan(device, *kbit, *identifiers).await.map(Self::Serial)
+                Port::open_slcan(device, *kbit, *identifiers).await.map(Self::Port)
+            }
+            #[cfg(unix)]
+            Address::SocketCan { interface, identifiers } => {
+                Port::open_interface(interface, *identifiers).map(Self::Port)
             }
             _ => Err(io::Error::new(ErrorKind::Unsupported, "a gateway does not support this line")),
         }
@@ -81,12 +90,12 @@ impl Stream {
                 Err(error) => Err(error),
             },
             #[cfg(unix)]
-            Self::Serial(port) => port.try_read(chunk),
+            Self::Port(port) => port.try_read(chunk),
         }
     }
 
     /// Writes without waiting.
-    fn try_write(&self, bytes: &[u8]) -> io::Result<usize> {
+    fn try_write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
             Self::Tcp(stream) => stream.try_write(bytes),
             Self::Udp(socket, gripper) => match socket.try_send_to(bytes, *gripper) {
@@ -94,7 +103,7 @@ impl Stream {
                 result => result,
             },
             #[cfg(unix)]
-            Self::Serial(port) => port.try_write(bytes),
+            Self::Port(port) => port.try_write(bytes),
         }
     }
 
@@ -111,7 +120,7 @@ impl Stream {
             Self::Tcp(stream) => stream.poll_read_ready(context).map(drop),
             Self::Udp(socket, _) => socket.poll_recv_ready(context).map(drop),
             #[cfg(unix)]
-            Self::Serial(port) => port.poll_arrival(context),
+            Self::Port(port) => port.poll_arrival(context),
         }
     }
 
@@ -119,18 +128,19 @@ impl Stream {
     fn encode(&mut self, bytes: &[u8], unsent: &mut Vec<u8>) {
         match self {
             #[cfg(unix)]
-            Self::Serial(port) => port.encode(bytes, unsent),
+            Self::Port(port) => port.encode(bytes, unsent),
             _ => unsent.extend(bytes),
         }
     }
 
     /// Appends the bytes of messages in bytes of the line.
-    fn decode(&mut self, bytes: &[u8], received: &mut VecDeque<u8>) {
+    fn decode(&mut self, bytes: &[u8], received: &mut VecDeque<u8>) -> io::Result<()> {
         match self {
             #[cfg(unix)]
-            Self::Serial(port) => port.decode(bytes, received),
+            Self::Port(port) => return port.decode(bytes, received),
             _ => received.extend(bytes),
         }
+        Ok(())
     }
 }
 
@@ -176,6 +186,8 @@ fn closed() -> io::Error {
 pub(super) struct GripperLine {
     stream: Option<Stream>,
     received: VecDeque<u8>,
+    /// Finds messages among the received bytes.
+    answers: FrameParser<ANSWER_LEN>,
     unsent: Vec<u8>,
     /// The line has not taken all bytes of the last turn, so the bridge keeps further commands.
     is_full: bool,
@@ -200,7 +212,7 @@ impl GripperLine {
     pub(super) fn reset(&mut self) {
         match mem::take(self).stream {
             #[cfg(unix)]
-            Some(Stream::Serial(port)) => port.close(true),
+            Some(Stream::Port(port)) => port.close(true),
             stream => drop(stream),
         }
     }
@@ -215,7 +227,7 @@ impl GripperLine {
                 let _ = socket.shutdown(Shutdown::Write);
             }
             #[cfg(unix)]
-            Some(Stream::Serial(port)) => port.close(false),
+            Some(Stream::Port(port)) => port.close(false),
             stream => drop(stream),
         }
     }
@@ -225,8 +237,10 @@ impl GripperLine {
         self.stream.as_ref().map_or(Poll::Pending, |stream| stream.poll_arrival(context))
     }
 
-    /// Takes the received bytes from the system. Returns an error without a line.
-    pub(super) fn receive(&mut self) -> io::Result<()> {
+    /// Takes the received bytes from the system. Returns whether an intact message of the gripper is among them, or an error without
+    /// a line.
+    pub(super) fn receive(&mut self) -> io::Result<bool> {
+        let known = self.received.len();
         let stream = self.stream.as_mut().ok_or_else(closed)?;
         let mut chunk = [0; CHUNK_LEN];
         for _ in 0..MAX_READS {
@@ -235,18 +249,19 @@ impl GripperLine {
             }
             match stream.try_read(&mut chunk) {
                 Ok(0) => return Err(closed()),
-                Ok(count) => stream.decode(chunk.get(..count).unwrap_or(&[]), &mut self.received),
+                Ok(count) => stream.decode(chunk.get(..count).unwrap_or(&[]), &mut self.received)?,
                 Err(error) if error.kind() == ErrorKind::WouldBlock => break,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) => return Err(error),
             }
         }
-        Ok(())
+        let new = self.received.iter().skip(known);
+        Ok(new.filter(|byte| matches!(self.answers.push(**byte), Some(Event::Frame(_)))).count() > 0)
     }
 
     /// Passes the bytes of a turn to the system. Returns an error without a line.
     pub(super) fn send(&mut self) -> io::Result<()> {
-        let stream = self.stream.as_ref().ok_or_else(closed)?;
+        let stream = self.stream.as_mut().ok_or_else(closed)?;
         self.is_full = false;
         loop {
             let bytes = stream.next_write(&self.unsent);

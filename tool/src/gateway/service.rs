@@ -80,17 +80,7 @@ mod tests {
     #[tokio::test]
     async fn watchdog_is_not_fed_while_a_bridge_runs_no_regular_turn() {
         for stalled in [0, 1] {
-            let gripper = GripperConfig {
-                name: None,
-                gripper: "tcp://127.0.0.1:1".parse().unwrap(),
-                modbus: None,
-                profinet: None,
-                ethernetip: None,
-                unit: None,
-                settings: None,
-                delivered: None,
-                label: String::new(),
-            };
+            let gripper = GripperConfig::of("tcp://127.0.0.1:1");
             let gateways = [0, 1].map(|_| Rc::new(Gateway::open(&gripper, &Rc::default()).unwrap()));
             let fed = Cell::new(0);
             let test = async {

@@ -1,6 +1,7 @@
 //! `wsg gateway status`: reads gateways over Modbus/TCP, as one more master that never writes, and judges them.
 
 use std::io::{self, Write};
+use std::str::FromStr;
 use std::sync::mpsc::channel;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -8,13 +9,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, anyhow};
 use clap::Args;
 use serde_json::{Map, Value, json};
-use wsg_sim::command_line::after_scheme;
 use wsg_sim::text::one_line;
 
-use crate::bridge::client::MODBUS_PORT;
+use crate::bridge::client::GatewayAddress;
 use crate::bridge::gateway_reports::{Reported, reported};
 use crate::bridge::{State, read_gateway};
-use crate::gripper::with_port;
 use crate::print_error;
 
 /// Time-out for the answers of all gateways.
@@ -29,19 +28,11 @@ const NO_CONNECTION: u8 = 6;
 #[derive(Args)]
 pub(super) struct Arguments {
     /// Addresses of gateways, such as 192.168.1.10 or 192.168.1.10:1502?unit=2; the port is 502 unless the address has one
-    #[arg(required = true, value_name = "ADDR", value_parser = gateway_address)]
-    gateways: Vec<String>,
+    #[arg(required = true, value_name = "ADDR", value_parser = GatewayAddress::from_str)]
+    gateways: Vec<GatewayAddress>,
     /// Print one JSON object per gateway, with raw register values
     #[arg(long)]
     json: bool,
-}
-
-/// Returns host, port and perhaps unit of `HOST[:502][?unit=1]` or `tcp://HOST[:502][?unit=1]`.
-fn gateway_address(text: &str) -> Result<String, String> {
-    let place = after_scheme(text, "tcp://").unwrap_or(text);
-    let (host, unit) = place.find('?').map_or((place, ""), |at| place.split_at(at));
-    let host = with_port(host, MODBUS_PORT, || "expected HOST[:502][?unit=1]".to_owned())?;
-    Ok(host + unit)
 }
 
 /// Prints the status of each gateway. Returns the highest exit status.
@@ -49,9 +40,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<u8> {
     let end = Instant::now() + TIME_OUT;
     let readings = arguments.gateways.iter().map(|gateway| {
         let (sender, reading) = channel();
-        let host = gateway.clone();
+        let address = gateway.clone();
         // In a thread, which ends with the process: nothing limits the look-up of a name.
-        thread::spawn(move || drop(sender.send(read_gateway(&host))));
+        thread::spawn(move || drop(sender.send(read_gateway(&address))));
         (gateway, reading)
     });
     let readings: Vec<_> = readings.collect();
@@ -59,42 +50,59 @@ pub(super) fn run(arguments: &Arguments) -> Result<u8> {
     for (gateway, reading) in readings {
         let read = reading.recv_timeout(end.saturating_duration_since(Instant::now()));
         let read = read.unwrap_or_else(|_| Err(anyhow!("no answer within {} s", TIME_OUT.as_secs())));
-        let fault = read.as_ref().map(|(state, _)| state.fault());
-        let (own, health) = match &fault {
-            Ok(None) => (0, "healthy"),
-            Ok(Some(_)) => (NOT_HEALTHY, "not healthy"),
-            Err(_) => (NO_CONNECTION, "no connection"),
-        };
-        status = status.max(own);
-        let reason = match fault {
-            Ok(fault) => fault,
-            Err(error) => Some(format!("{error:#}")),
-        };
-        let read = read.ok().map(|(state, registers)| (state, map(&registers)));
-        if arguments.json {
-            let (reports, bridge, events) = match &read {
-                Some((state, reports)) => (json!(reports), state.json(), state.events_json()),
-                None => (Value::Null, Value::Null, Value::Null),
-            };
-            let object = json!({
-                "gateway": gateway, "health": health, "reason": reason,
-                "reports": reports, "bridge": bridge, "events": events,
-            });
-            writeln!(io::stdout(), "{object}")?;
-            continue;
-        }
-        let reason = reason.map(|reason| format!(": {}", one_line(&reason))).unwrap_or_default();
-        match read {
-            Some((state, reports)) => write!(
-                io::stdout(),
-                "gateway    {gateway} is {health}{reason}\n{}{}",
-                state.summary(),
-                lines(&state, &reports)
-            )?,
-            None => print_error(format_args!("{gateway}{reason}")),
+        let read = Reading::new(read);
+        status = status.max(read.status);
+        let gateway = &gateway.to_string();
+        match read.text(gateway) {
+            _ if arguments.json => writeln!(io::stdout(), "{}", read.json(gateway))?,
+            Ok(text) => io::stdout().write_all(text.as_bytes())?,
+            Err(error) => print_error(format_args!("{error}")),
         }
     }
     Ok(status)
+}
+
+/// The judged values of a gateway.
+pub(super) struct Reading {
+    /// Exit status.
+    status: u8,
+    health: &'static str,
+    reason: Option<String>,
+    /// Bridge, and the gateway's reports on itself.
+    values: Option<(State, Map<String, Value>)>,
+}
+
+impl Reading {
+    /// Judges the read values, or the reason for their absence.
+    pub(super) fn new(read: Result<(State, Vec<u16>)>) -> Self {
+        let (status, health, reason) = match read.as_ref().map(|(state, _)| state.fault()) {
+            Ok(None) => (0, "healthy", None),
+            Ok(Some(fault)) => (NOT_HEALTHY, "not healthy", Some(fault)),
+            Err(error) => (NO_CONNECTION, "no connection", Some(format!("{error:#}"))),
+        };
+        let values = read.ok().map(|(state, registers)| (state, map(&registers)));
+        Self { status, health, reason, values }
+    }
+
+    /// Returns a JSON object. `gateway` is its address.
+    pub(super) fn json(&self, gateway: &str) -> Value {
+        let (reports, bridge, events) = match &self.values {
+            Some((state, reports)) => (json!(reports), state.json(), state.events_json()),
+            None => (Value::Null, Value::Null, Value::Null),
+        };
+        json!({
+            "gateway": gateway, "health": self.health, "reason": self.reason,
+            "reports": reports, "bridge": bridge, "events": events,
+        })
+    }
+
+    /// Returns lines, each with a word for its topic. The first one names the gateway. Without values, returns why as an error.
+    pub(super) fn text(&self, gateway: &str) -> Result<String, String> {
+        let reason = self.reason.as_ref().map(|reason| format!(": {}", one_line(reason))).unwrap_or_default();
+        let (state, reports) = self.values.as_ref().ok_or_else(|| format!("{gateway}{reason}"))?;
+        let (health, summary, lines) = (self.health, state.summary(), lines(state, reports));
+        Ok(format!("gateway    {gateway} is {health}{reason}\n{summary}{lines}"))
+    }
 }
 
 /// Returns the reports by name.

@@ -20,6 +20,7 @@ tcp://HOST[:1000]                         binary protocol over TCP
 udp://HOST[:1500][?answer=1501]           over UDP; the gripper replies to port 1501
 serial:DEVICE[?rate=115200]               over RS-232
 slcan:DEVICE[?kbit=500&id=120]            over CAN through an SLCAN adapter; id in hex
+socketcan:INTERFACE[?id=120]              over CAN through an interface of Linux
 gcl://HOST[:1000][?force=5..80&speed=5..420]
                                           text protocol (GCL) over TCP; the gripper reports neither limit
 gcl+udp://HOST[:1500][?force=5..80&speed=5..420]
@@ -59,6 +60,13 @@ pub enum Address {
         device: String,
         /// The rate of the bus in kbit/s.
         kbit: u16,
+        /// The CAN identifiers of the gripper.
+        identifiers: Identifiers,
+    },
+    /// The binary protocol over CAN, through an interface of Linux SocketCAN.
+    SocketCan {
+        /// The name of the interface, whose rate its administrator has set.
+        interface: String,
         /// The CAN identifiers of the gripper.
         identifiers: Identifiers,
     },
@@ -109,13 +117,13 @@ impl FromStr for Address {
                 || format!("wrong address `{text}`; expected {}://HOST[:PORT]", scheme.to_lowercase());
             with_port(place.strip_prefix("//").unwrap_or(place), port, wrong)
         };
-        let device = || {
-            let device = place.strip_prefix("//").unwrap_or(place);
-            if device.is_empty() {
-                Err("missing device; expected a serial port such as /dev/ttyUSB0")
-            } else {
-                Ok(device.to_owned())
-            }
+        let name = |missing| {
+            let name = place.strip_prefix("//").unwrap_or(place);
+            if name.is_empty() { Err(missing) } else { Ok(name.to_owned()) }
+        };
+        let device = || name("missing device; expected a serial port such as /dev/ttyUSB0");
+        let id = |query: &mut Query<'_>| {
+            query.take("id", Identifiers::DEFAULT, identifiers, "an identifier in hex, up to 7FE")
         };
         // Schemes are not case-sensitive (RFC 3986, 3.1).
         let address = match scheme.to_ascii_lowercase().as_str() {
@@ -141,12 +149,11 @@ impl FromStr for Address {
             "slcan" => Self::Slcan {
                 device: device()?,
                 kbit: query.take("kbit", KBIT, |text| text.parse().ok().filter(is_kbit), KBIT_CHOICES)?,
-                identifiers: query.take(
-                    "id",
-                    Identifiers::DEFAULT,
-                    identifiers,
-                    "an identifier in hex, up to 7FE",
-                )?,
+                identifiers: id(&mut query)?,
+            },
+            "socketcan" => Self::SocketCan {
+                interface: name("missing interface; expected its name, such as can0")?,
+                identifiers: id(&mut query)?,
             },
             "gcl" => Self::Gcl { gripper: host(TCP_PORT)?, limits: query.limits()? },
             "gcl+udp" => Self::GclUdp { gripper: host(Udp::GRIPPER_PORT)?, limits: query.limits()? },
@@ -164,6 +171,7 @@ impl Display for Address {
             Self::Udp { gripper, .. } => write!(f, "udp://{gripper}"),
             Self::Serial { device, .. } => write!(f, "serial:{device}"),
             Self::Slcan { device, .. } => write!(f, "slcan:{device}"),
+            Self::SocketCan { interface, .. } => write!(f, "socketcan:{interface}"),
             Self::Gcl { gripper, .. } => write!(f, "gcl://{gripper}"),
             Self::GclUdp { gripper, .. } => write!(f, "gcl+udp://{gripper}"),
         }
@@ -198,7 +206,7 @@ pub(crate) fn with_port(host: &str, port: u16, wrong: impl Fn() -> String) -> Re
 const KBIT_CHOICES: &str = "10, 20, 50, 100, 125, 250, 500, 800 or 1000";
 
 fn is_kbit(kbit: &u16) -> bool {
-    super::slcan::rate_of(*kbit).is_some()
+    super::can::rate_of(*kbit).is_some()
 }
 
 fn identifiers(text: &str) -> Option<Identifiers> {
@@ -281,6 +289,7 @@ mod tests {
             ("serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
             ("serial:COM3?rate=57600", "serial:COM3"),
             ("slcan:/dev/ttyACM0?kbit=1000&id=60", "slcan:/dev/ttyACM0"),
+            ("socketcan:can0?id=60", "socketcan:can0"),
             ("gcl://10.0.0.1", "gcl://10.0.0.1:1000"),
             ("gcl+udp://10.0.0.1", "gcl+udp://10.0.0.1:1500"),
             ("gcl://10.0.0.1?force=5..80", "gcl://10.0.0.1:1000"),
@@ -297,6 +306,8 @@ mod tests {
             identifiers: Identifiers::from_base(0x60).unwrap(),
         };
         assert_eq!("slcan:/dev/ttyACM0?kbit=1000&id=60".parse(), Ok(slcan));
+        let can = Address::SocketCan { interface: "can0".to_owned(), identifiers: Identifiers::DEFAULT };
+        assert_eq!("SocketCAN:can0".parse(), Ok(can));
         let udp = Address::Udp { gripper: "h:1500".to_owned(), answer_port: 7 };
         assert_eq!("udp://h?answer=7".parse(), Ok(udp));
         let force = SystemLimits {
@@ -338,6 +349,9 @@ mod tests {
             ("slcan:/dev/x?kbit=400", "10, 20, 50"),
             ("slcan:/dev/x?id=7FF", "up to 7FE"),
             ("slcan:/dev/x?id=60&id=62", "repeated parameter `id`"),
+            ("socketcan:", "missing interface; expected its name, such as can0"),
+            // The interface has its own rate.
+            ("socketcan:can0?kbit=500", "parameter `kbit`"),
             ("gcl://h?force=80", "force=80: expected two numbers such as 5..80"),
             ("gcl://h?force=80..5", "two numbers"),
             ("gcl://h?speed=-1..5", "two numbers"),

@@ -1,5 +1,6 @@
 //! Transports to grippers at any address.
 
+use std::fs::File;
 use std::io;
 use std::time::Duration;
 
@@ -8,6 +9,7 @@ use rustix::fs::{FlockOperation, flock};
 #[cfg(unix)]
 use rustix::io::Errno;
 use serial2::{IntoSettings, KeepSettings, SerialPort};
+use wsg_protocol::can::Identifiers;
 use wsg_protocol::driver::Stoppable;
 use wsg_protocol::driver::blocking::Transport;
 #[cfg(unix)]
@@ -15,11 +17,11 @@ use wsg_protocol::driver::host::PolledStream;
 use wsg_protocol::driver::host::{Stream, Tcp, Udp};
 
 use super::address::Address;
-use super::slcan::{self, Slcan};
+use super::can::{self, CanStream, Carrier, Encoder};
 
-/// How long a read of a serial port waits where the operating system does not report received bytes.
+/// How long a read of a serial port or a CAN interface waits where the operating system does not report received bytes.
 const READ_TIMEOUT: Duration = Duration::from_millis(1);
-/// Time-out for writing to a serial port.
+/// Time-out for writing to a serial port or a CAN interface.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Any transport of the blocking driver whose gripper can be stopped from another thread.
@@ -30,7 +32,7 @@ impl<T: Transport<Error = io::Error> + Stoppable + Send> Wire for T {}
 /// Opens the transport to an address.
 ///
 /// # Errors
-/// Returns the error of the socket or of the serial port.
+/// Returns the error of the socket, the serial port or the CAN interface.
 pub fn open(address: &Address) -> io::Result<Box<dyn Wire>> {
     Ok(match address {
         Address::Tcp(host) | Address::Gcl { gripper: host, .. } => Box::new(Tcp::connect(host.as_str())?),
@@ -38,11 +40,25 @@ pub fn open(address: &Address) -> io::Result<Box<dyn Wire>> {
         Address::GclUdp { gripper, .. } => Box::new(Udp::connect(gripper.as_str(), 0)?),
         Address::Serial { device, rate } => serial(open_port(device, *rate, false)?)?,
         Address::Slcan { device, kbit, identifiers } => {
-            let port = open_port(device, slcan::PORT_RATE, false)?;
-            let second = slcan::Encoder::new(port.try_clone()?, *identifiers);
-            Box::new(Stream::with_second(Slcan::open(port, *kbit, *identifiers)?, second))
+            let mut port = open_port(device, can::PORT_RATE, false)?;
+            can::open_channel(&mut port, *kbit)?;
+            let second = port.try_clone()?;
+            on_can(port, second, Carrier::Slcan, *identifiers)
+        }
+        Address::SocketCan { interface, identifiers } => {
+            let interface = open_interface(interface, *identifiers, false)?;
+            let second = interface.try_clone()?;
+            on_can(interface, second, Carrier::SocketCan, *identifiers)
         }
     })
+}
+
+fn on_can<P>(port: P, second: P, carrier: Carrier, identifiers: Identifiers) -> Box<dyn Wire>
+where
+    P: io::Read + io::Write + Send + 'static,
+{
+    let second = Encoder::new(second, carrier, identifiers);
+    Box::new(Stream::with_second(CanStream::new(port, carrier, identifiers), second))
 }
 
 #[cfg(unix)]
@@ -70,6 +86,42 @@ pub(crate) fn open_port(device: &str, rate: u32, is_alone: bool) -> io::Result<S
     // Discard bytes received earlier: they answer no request of this program.
     port.discard_input_buffer()?;
     Ok(port)
+}
+
+/// Opens a CAN interface for the frames of a gripper, and for a report that its controller has left the bus. With `echoes`, it never
+/// waits, and returns each own frame after the bus has taken it.
+#[cfg(target_os = "linux")]
+pub(crate) fn open_interface(name: &str, identifiers: Identifiers, echoes: bool) -> io::Result<File> {
+    use std::os::fd::AsFd;
+
+    use socketcan::{CanSocket, Socket, SocketOptions};
+
+    /// Bits that a received frame must share with a filter: the identifier, and the flags of extended and remote frames.
+    const FILTERED: u32 = 0xC000_07FF;
+    /// Error of a controller that has left the bus.
+    const BUS_OFF: u32 = 0x40;
+
+    let open = || {
+        let socket = CanSocket::open(name)?;
+        let side = identifiers.controller();
+        socket.set_filters(&[side.transmit, side.receive].map(|id| (id.as_raw().into(), FILTERED)))?;
+        socket.set_error_filter(BUS_OFF)?;
+        socket.set_recv_own_msgs(echoes)?;
+        socket.set_nonblocking(echoes)?;
+        socket.set_read_timeout(READ_TIMEOUT)?;
+        socket.set_write_timeout(WRITE_TIMEOUT)?;
+        socket.as_fd().try_clone_to_owned()
+    };
+    let opened: io::Result<_> = open();
+    let opened = opened.map_err(|error| {
+        io::Error::new(error.kind(), format!("the CAN interface {name} cannot be opened: {error}"))
+    });
+    opened.map(File::from)
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn open_interface(_: &str, _: Identifiers, _: bool) -> io::Result<File> {
+    Err(io::Error::new(io::ErrorKind::Unsupported, "SocketCAN requires Linux"))
 }
 
 #[cfg(unix)]

@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue};
 use wsg_sim::{command_line::after_scheme, text};
 
 use super::settings::{Place, REPEATED, SETTINGS, Setting, unknown};
-use crate::bridge::client::MODBUS_PORT;
+use crate::bridge::client::GatewayAddress;
 
 /// The settings, checked as far as possible without a broker.
 #[derive(Debug)]
@@ -71,7 +71,7 @@ pub(super) struct Device {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Source {
     Gripper(Address),
-    /// Serial port that is connected to the bridge's service port, or `tcp://HOST[:PORT]` of a gateway.
+    /// Serial port that is connected to the bridge's service port, or `tcp://HOST[:502][?unit=1]` of a gateway.
     Bridge(String),
 }
 
@@ -328,8 +328,8 @@ fn password_of(section: &Section) -> Result<Option<Secret>> {
 fn source_of(section: &Section) -> Result<Source> {
     if section.name == "bridge" {
         let device = section.text("device");
-        if after_scheme(device, "tcp://").is_some_and(|host| host_and_port(host, MODBUS_PORT).is_none()) {
-            return Err(section.wrong("device", "expected a serial port or tcp://HOST[:502]"));
+        if after_scheme(device, "tcp://").is_some() {
+            device.parse::<GatewayAddress>().map_err(|error| section.wrong("device", error))?;
         }
         return Ok(Source::Bridge(device.to_owned()));
     }

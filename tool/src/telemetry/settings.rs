@@ -175,7 +175,7 @@ pub(super) const SETTINGS: &[Setting] = &[
         "device",
         Kind::Text,
         None,
-        "the bridge's service port, such as `/dev/ttyACM0`, or `tcp://HOST[:502]` of a gateway",
+        "the bridge's service port, such as `/dev/ttyACM0`, or `tcp://HOST[:502][?unit=1]` of a gateway",
     ),
 ];
 

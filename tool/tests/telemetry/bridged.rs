@@ -8,7 +8,7 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use host_tests::gateway::Gateway;
+use host_tests::gateway::{Gateway, unpaused};
 use host_tests::terminal::Terminal;
 use host_tests::world::{World, service_line::ServiceLine};
 use wsg_bridge_fw::{Config, io::Inputs};
@@ -117,13 +117,20 @@ fn gateway_and_its_reports_reach_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
-    let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
-    let gripper = ServerThread::start(wsg_sim::Config::default(), &lines, None).unwrap();
-    let mut gateway = Gateway::start(gripper.tcp_address().unwrap(), &[]);
+    let start = || {
+        let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+        let gripper = ServerThread::start(wsg_sim::Config::default(), &lines, None).unwrap();
+        let gateway = Gateway::start(gripper.tcp_address().unwrap(), &[]);
+        (gripper, gateway)
+    };
+    unpaused(start, |(_, gateway)| gateway, |_, _| false, |(_, gateway)| reaches_mosquitto(gateway));
+}
+
+fn reaches_mosquitto(gateway: &mut Gateway) {
     let folder = Folder::new();
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
-    let device = format!("[[bridge]]\nname = \"press\"\ndevice = \"tcp://{}\"\n", gateway.modbus);
+    let device = format!("[[bridge]]\nname = \"press\"\ndevice = \"tcp://{}?unit=7\"\n", gateway.modbus);
     let telemetry = Telemetry::at(&folder, broker.port, &device);
 
     let birth = host.wait_for("DBIRTH", "press");
@@ -137,7 +144,7 @@ fn gateway_and_its_reports_reach_mosquitto_and_sparkplug_payload() {
     is("Gateway/Gripper Connections", 1.into());
     is("Gateway/PLC Address", serde_json::Value::Null);
     assert_eq!(metric(&birth, "Gateway/Cycle Time")["properties"]["engUnit"]["value"], "µs");
-    gateway.messages();
+    gateway.process.kill().unwrap();
     host.wait_for("DDEATH", "press");
     telemetry.wait_until_it_says("cannot connect to a gateway");
     telemetry.end();

@@ -81,6 +81,7 @@ class Gripper:
     - ``udp://192.168.1.20`` (port 1500, replies to ``?answer=1501``): over UDP
     - ``serial:/dev/ttyUSB0?rate=115200``: over RS-232
     - ``slcan:/dev/ttyACM0?kbit=500&id=120``: over CAN through an SLCAN adapter, with the identifier in hex
+    - ``socketcan:can0?id=120``: over CAN through an interface of Linux
     - ``gcl://192.168.1.20``, ``gcl+udp://192.168.1.20``: text protocol (GCL). ``?force=5..80&speed=5..420`` states the
       limits in N and mm/s, which the gripper does not report
 

@@ -3,11 +3,11 @@
 use core::net::Ipv4Addr;
 
 use super::{Device, Transmit};
-use crate::connection::Packet;
+use crate::connection::{Connection, Packet};
 use crate::cursor::Reader;
 use crate::encapsulation::MAX_FRAME_LEN;
 use crate::forward_open::Kind;
-use crate::state::{Event, State};
+use crate::state::State;
 
 /// Bit of the run/idle header.
 const RUN: u32 = 1;
@@ -55,12 +55,10 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
         if mode == State::Run {
             *outputs = reader.array()?;
-            // Outputs that the application has not taken yet may have been the first.
-            let is_first = old_mode != mode || pending.image == Some(Event::Outputs { is_first: true });
-            pending.image = Some(Event::Outputs { is_first });
+            pending.has_outputs = true;
         } else if old_mode == State::Run {
             outputs.fill(0);
-            pending.image = Some(Event::Idle);
+            (pending.is_idle, pending.has_outputs) = (true, false);
         }
         Some(())
     }
@@ -73,6 +71,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         let missed = now.saturating_sub(io.next).checked_div(io.interval_us).unwrap_or(0);
         io.next = io.next.saturating_add(io.interval_us.saturating_mul(missed.saturating_add(1)));
         io.sent = io.sent.wrapping_add(1);
-        Packet::write(buffer, (io.produced_id, io.sent), inputs).map(|len| Transmit::Io(len, io.target))
+        let Connection { produced_id, target, next, sent, .. } = *io;
+        // The consumers of a group share its packets.
+        let is_in_group = |it: &&mut Connection| it.target == target && target.ip().is_multicast();
+        for it in connections.iter_mut().flatten().filter(is_in_group) {
+            (it.next, it.sent) = (next, sent);
+        }
+        Packet::write(buffer, (produced_id, sent), inputs).map(|len| Transmit::Io(len, target))
     }
 }

@@ -20,11 +20,11 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         out: &mut Writer<'_>,
     ) -> Served {
         context.triad = Some(open.triad);
-        let id = self.establish(context, open).inspect_err(|_| {
+        let (consumed_id, produced_id) = self.establish(context, open).inspect_err(|_| {
             self.counters.opens_refused = self.counters.opens_refused.saturating_add(1);
         })?;
-        out.u32(id);
-        out.u32(open.produced_id);
+        out.u32(consumed_id);
+        out.u32(produced_id);
         out.bytes(&open.triad);
         out.u32(open.output.interval_us);
         out.u32(open.input.interval_us);
@@ -33,22 +33,25 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         Ok(())
     }
 
-    /// Opens a connection. Returns its identifier for packets to this device.
-    fn establish(&mut self, context: &mut Context<'_>, open: &Open<'_>) -> Result<u32, Failure> {
+    /// Opens a connection. Returns its identifiers of packets to this device and to the originator.
+    fn establish(&mut self, context: &mut Context<'_>, open: &Open<'_>) -> Result<(u32, u32), Failure> {
         let refused = |code| Err(Failure::Connection(code, None));
         if !open.is_null() && self.connections().any(|it| it.triad == open.triad) {
             return refused(0x0100);
         }
         let kind = open.check(&self.profile, (OUT, IN))?;
         let Context { now, client, .. } = *context;
-        let target = match context.target {
+        let group = open.input.is_multicast().then(|| SocketAddrV4::new(self.network.group(), IO_PORT));
+        let target = match (group, context.target) {
+            (Some(group), _) => group,
             // Data for a third station would make the device an amplifier.
-            Some(target) if !target.ip().is_unspecified() && *target.ip() != client.address => {
+            (None, Some(target)) if !target.ip().is_unspecified() && *target.ip() != client.address => {
                 return refused(0x0205);
             }
-            Some(target) if target.port() != 0 => SocketAddrV4::new(client.address, target.port()),
+            (None, Some(target)) if target.port() != 0 => SocketAddrV4::new(client.address, target.port()),
             _ => SocketAddrV4::new(client.address, IO_PORT),
         };
+        let running = group.and_then(|group| self.connections().find(|it| it.target == group).cloned());
         let (places, status_if_full) = match kind {
             Kind::ExclusiveOwner => (OWNER..1, 0x0106),
             Kind::ListenOnly if !self.has_stream() => return refused(0x0119),
@@ -60,8 +63,18 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         let Some((free, place)) = free.find(|(free, _)| free.is_none()) else {
             return refused(status_if_full);
         };
-        let consumed_id = self.random.id(place);
-        *free = Some(Connection { consumed_id, ..Connection::new(now, kind, open, client, target) });
+        let mut connection = Connection::new(now, kind, open, client, target);
+        if let Some(running) = running {
+            if running.interval_us != connection.interval_us {
+                return refused(0x0112);
+            }
+            let Connection { produced_id, next, sent, .. } = running;
+            connection = Connection { produced_id, next, sent, ..connection };
+        } else if group.is_some() {
+            connection.produced_id = self.random.id(place);
+        }
+        let ids = (self.random.id(place), connection.produced_id);
+        *free = Some(Connection { consumed_id: ids.0, ..connection });
         if kind == Kind::Explicit {
             let answer = place.checked_sub(IO_CONNECTIONS).and_then(|place| self.answers.get_mut(place));
             answer.into_iter().for_each(|answer| answer.1 = 0);
@@ -69,8 +82,9 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             self.has_timed_out = false;
             self.pending.is_connected |= kind == Kind::ExclusiveOwner;
             context.has_opened_io = true;
+            context.target = group;
         }
-        Ok(consumed_id)
+        Ok(ids)
     }
 
     /// Serves Forward_Close. Only the station that opened a connection may close it, over any session.

@@ -4,6 +4,7 @@
 use core::net::{Ipv4Addr, SocketAddrV4};
 
 use super::Device;
+use super::session::INACTIVITY_S;
 use crate::cursor::Writer;
 use crate::encapsulation::PORT;
 use crate::forward_open::Kind;
@@ -85,22 +86,29 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             }
             // No host name.
             (class::TCP_IP, 6) => out.u16(0),
-            // Time to live and configuration of multicast, which the device does not send.
+            // Time to live of multicast, and its configuration: one group of the standard's algorithm, or none.
             (class::TCP_IP, 8) => out.u8(1),
-            (class::TCP_IP, 9) => out.bytes(&[0; 8]),
-            (class::TCP_IP, 13) => out.u16(self.inactivity_s),
+            (class::TCP_IP, 9) => {
+                let group = profile.allows_multicast.then(|| network.group().to_bits());
+                out.u16(0);
+                out.u16(group.is_some().into());
+                out.u32(group.unwrap_or(0));
+            }
+            (class::TCP_IP, 13) => out.u16(INACTIVITY_S),
             (class::ETHERNET_LINK, 1) => out.u32(network.speed),
-            // Link up, full duplex, successfully negotiated.
-            (class::ETHERNET_LINK, 2) => out.u32(0x0F),
+            // Link up; full duplex and successfully negotiated if the speed is known.
+            (class::ETHERNET_LINK, 2) => out.u32(if network.speed > 0 { 0x0F } else { 1 }),
             (class::ETHERNET_LINK, 3) => out.bytes(&network.mac),
             // Twisted pair.
             (class::ETHERNET_LINK, 7) => out.u8(2),
-            // Negotiation; one supported pair of speed and duplex mode.
+            // Negotiation; the supported pair of speed and duplex mode, if known.
             (class::ETHERNET_LINK, 11) => {
                 out.u32(2);
-                out.u8(1);
-                out.u16(u16::try_from(network.speed).unwrap_or(u16::MAX));
-                out.u8(1);
+                out.u8((network.speed > 0).into());
+                if network.speed > 0 {
+                    out.u16(u16::try_from(network.speed).unwrap_or(u16::MAX));
+                    out.u8(1);
+                }
             }
             (class::QOS, number @ 4..=8) => {
                 let index = number.saturating_sub(4) as usize;

@@ -24,14 +24,12 @@ mod service {
 
 /// Bit of a service in an answer.
 const ANSWER: u8 = 0x80;
-/// Maximum of the inactivity time-out.
-const MAX_INACTIVITY_S: u16 = 3_600;
 
 /// Circumstances of a message.
 pub(super) struct Context<'a> {
     pub(super) now: u64,
     pub(super) client: Client,
-    /// Socket address for cyclic data to the originator, if the originator gives one.
+    /// Socket address for cyclic data to the originator, if the originator gives one; after the opening, the group if any.
     pub(super) target: Option<SocketAddrV4>,
     pub(super) registers: &'a mut dyn Registers,
     /// The connection that the message opens or closes.
@@ -133,7 +131,11 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             // Data of a read is ignored: some clients append an empty route.
             (service::GET_SINGLE, ..) => Ok(self.attribute(&target, out)?),
             (service::GET_ALL, class, 1..) => Ok(self.all(class, out)?),
-            (service::SET_SINGLE, ..) => Ok(self.set_attribute(&target, request.data)?),
+            // All attributes are read-only: an explicit message must never set outputs. Missing ones have their own status.
+            (service::SET_SINGLE, ..) => {
+                self.attribute(&target, &mut Writer::new(&mut []))?;
+                Err(Status::NotSettable.into())
+            }
             (service::RESET, class::IDENTITY, 1) => Ok(self.reset(request.data)?),
             _ => Err(Status::ServiceUnsupported.into()),
         }
@@ -158,25 +160,6 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             }
             _ => Err(Status::ServiceUnsupported),
         }
-    }
-
-    /// Sets the inactivity time-out. All other attributes are read-only: an explicit message must never set outputs.
-    fn set_attribute(&mut self, target: &Target, data: &[u8]) -> Result<(), Status> {
-        // Only whether the attribute exists.
-        self.attribute(target, &mut Writer::new(&mut []))?;
-        if (target.class, target.instance, target.attribute) != (class::TCP_IP, 1, Some(13)) {
-            return Err(Status::NotSettable);
-        }
-        let mut reader = Reader::new(data);
-        let value = reader.u16().ok_or(Status::TooShort)?;
-        if !reader.rest().is_empty() {
-            return Err(Status::TooLong);
-        }
-        if value > MAX_INACTIVITY_S {
-            return Err(Status::InvalidValue);
-        }
-        self.inactivity_s = value;
-        Ok(())
     }
 
     fn reset(&mut self, data: &[u8]) -> Result<(), Status> {

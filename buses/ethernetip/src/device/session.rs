@@ -12,7 +12,7 @@ use crate::encapsulation::{
 use crate::forward_open::Kind;
 use crate::profile::Registers;
 
-/// Delivered inactivity time-out.
+/// Inactivity time-out: the default of the specification. Read-only, because a set value would have to survive power-off.
 pub(super) const INACTIVITY_S: u16 = 120;
 /// Default and minimum of the longest delay of an answer to a broadcast.
 const DEFAULT_DELAY_MS: u16 = 2_000;
@@ -31,11 +31,8 @@ pub(super) struct Session {
 
 impl Session {
     /// Returns when the session ends without a frame.
-    pub(super) fn until(&self, inactivity_s: u16) -> u64 {
-        match inactivity_s {
-            0 => u64::MAX,
-            _ => self.received.saturating_add(u64::from(inactivity_s).saturating_mul(1_000_000)),
-        }
+    pub(super) fn until(&self) -> u64 {
+        self.received.saturating_add(u64::from(INACTIVITY_S).saturating_mul(1_000_000))
     }
 }
 
@@ -211,14 +208,19 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             (None, item::UNCONNECTED_DATA, len)
         };
         out.bytes(&[0; 6]);
-        out.u16(if context.has_opened_io && !is_connected { 3 } else { 2 });
+        let has_sockets = context.has_opened_io && !is_connected;
+        let group = context.target.filter(|_| has_sockets);
+        out.u16(2_u16.saturating_add(has_sockets.into()).saturating_add(group.is_some().into()));
         out.u16(if is_connected { item::CONNECTED_ADDRESS } else { item::NULL });
         out.counted(|out| address.into_iter().for_each(|id| out.u32(id)));
         out.u16(kind);
         out.counted(|out| out.bytes(buffer.get(..len).unwrap_or(&[])));
-        if context.has_opened_io && !is_connected {
-            out.u16(item::SOCKET_O_TO_T);
-            out.counted(|out| out.socket_address(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, IO_PORT)));
+        let own = has_sockets.then_some(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, IO_PORT));
+        for (kind, address) in [(item::SOCKET_O_TO_T, own), (item::SOCKET_T_TO_O, group)] {
+            if let Some(address) = address {
+                out.u16(kind);
+                out.counted(|out| out.socket_address(address));
+            }
         }
         Some(Ok(header.session))
     }

@@ -28,6 +28,7 @@ pub(crate) const PROFILE: Profile = Profile {
     listen_only: 153,
     register_class: Some(0x64),
     min_interval_us: 1_000,
+    allows_multicast: true,
 };
 const _: () = assert!(PROFILE.is_valid());
 
@@ -52,8 +53,8 @@ impl Registers for Map {
         let register = self.0.get(usize::from(instance)).ok_or(Status::NoInstance)?;
         match attribute {
             1 => value.get_mut(..2).ok_or(Status::ReplyTooLarge)?.copy_from_slice(register),
-            // More than any buffer holds.
-            2 => return Ok(10_000),
+            // The number is the length, which may be more than the buffer holds.
+            32.. => return Ok(attribute.into()),
             _ => return Err(Status::AttributeUnsupported),
         }
         Ok(2)
@@ -70,6 +71,14 @@ impl Registers for Map {
             _ => Err(Status::NotSettable),
         }
     }
+}
+
+#[test]
+fn identifiers_are_random_and_hold_their_place() {
+    // The published sequence of SplitMix64 from this seed.
+    let mut random = Random(1_234_567);
+    assert_eq!(random.next(), 6_457_827_717_110_365_317);
+    assert_eq!(random.id(3), 0x0A81_F4A4);
 }
 
 pub(super) fn bytes(hex: &str) -> Vec<u8> {
@@ -165,13 +174,13 @@ impl Rig {
         Ok(u32::from_le_bytes(bytes(&answer[8..16]).try_into().unwrap()))
     }
 
-    /// Receives a packet of a connection, with any data.
-    pub(super) fn packet(&mut self, from: Ipv4Addr, id: u32, sequence: u32, data: &str) {
+    /// Receives a packet of a connection, with any data. Returns whether it is the owner's.
+    pub(super) fn packet(&mut self, from: Ipv4Addr, id: u32, sequence: u32, data: &str) -> bool {
         let data = bytes(data);
         let [id, sequence] = [id, sequence].map(|number| hex(&number.to_le_bytes()));
         let len = hex(&(data.len() as u16).to_le_bytes());
         let packet = bytes(&format!("0200 0280 0800 {id} {sequence} b100 {len} {}", hex(&data)));
-        self.device.receive_packet(self.now, from, &packet);
+        self.device.receive_packet(self.now, from, &packet)
     }
 
     /// Receives outputs in run or idle mode. Each byte of them is the low byte of the sequence count.

@@ -7,8 +7,13 @@ use hyper::http::uri::Authority;
 use std::net::IpAddr;
 
 /// Rejects a request for another host. With DNS rebinding, a browser treats the attacker's page as same-origin, and
-/// only `Host` reveals it. The port is not checked, because it may be forwarded.
-pub(super) fn check_host(headers: &HeaderMap, here: IpAddr, names: &[String]) -> Result<(), HttpError> {
+/// only `Host` reveals it. The port is not checked, because it may be forwarded. `or_names` describes the names in a message.
+pub(super) fn check_host(
+    headers: &HeaderMap,
+    here: IpAddr,
+    names: &[String],
+    or_names: &str,
+) -> Result<(), HttpError> {
     let mut hosts = headers.get_all(HOST).iter();
     let (Some(host), None) = (hosts.next(), hosts.next()) else {
         return Err(HttpError::wrong("expected exactly one Host header".to_owned()));
@@ -28,8 +33,7 @@ pub(super) fn check_host(headers: &HeaderMap, here: IpAddr, names: &[String]) ->
         return Ok(());
     }
     let host = String::from_utf8_lossy(host.as_bytes());
-    let error =
-        format!("the header Host is {host:?}; expected localhost, {here} or a name of --control-host");
+    let error = format!("the header Host is {host:?}; expected localhost, {here}{or_names}");
     Err(HttpError::new(StatusCode::MISDIRECTED_REQUEST, error))
 }
 
@@ -67,7 +71,7 @@ mod tests {
             for host in hosts {
                 headers.append(HOST, HeaderValue::from_str(host).unwrap());
             }
-            check_host(&headers, here, &names).map_err(|refused| refused.status.as_u16())
+            check_host(&headers, here, &names, "").map_err(|refused| refused.status.as_u16())
         };
         for host in [
             "localhost",

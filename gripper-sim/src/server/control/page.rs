@@ -21,19 +21,22 @@ const PLACE: &str = "{{nonce}}";
 /// Returns the page for a browser that knows this server by the name `host`, and its content security policy. The policy
 /// allows the page's own script and style and requests to its own origin; it forbids framing.
 pub(super) fn page(host: &str) -> (String, String) {
-    // A new hasher is seeded from the system's random numbers.
-    let nonce = format!("{:016x}{:016x}", RandomState::new().hash_one(0), RandomState::new().hash_one(1));
     // Older browsers do not count WebSockets as `self`.
     let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b".:-[]".contains(&byte);
     let sockets =
         if host.bytes().all(is_name) { format!(" ws://{host} wss://{host}") } else { String::new() };
+    guarded(&PAGE.replace("{{style}}", STYLE).replace("{{script}}", &SCRIPT.concat()), &sockets)
+}
+
+/// Returns a page with its nonce, and its content security policy. `sockets` are further places to which it may connect.
+pub(super) fn guarded(page: &str, sockets: &str) -> (String, String) {
+    // A new hasher is seeded from the system's random numbers.
+    let nonce = format!("{:016x}{:016x}", RandomState::new().hash_one(0), RandomState::new().hash_one(1));
     let policy = format!(
         "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'{sockets}; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     );
-    let page =
-        PAGE.replace(PLACE, &nonce).replace("{{style}}", STYLE).replace("{{script}}", &SCRIPT.concat());
-    (page, policy)
+    (page.replace(PLACE, &nonce), policy)
 }
 
 #[cfg(test)]

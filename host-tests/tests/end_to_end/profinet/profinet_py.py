@@ -383,6 +383,27 @@ def soak(seconds):
     plc.release()
 
 
+def exchange(seconds):
+    """Exchanges images with the watchdog of the documents. Prints the number of received frames, 1 if the watchdog expired or 0, and
+    the longest time between two frames in ms."""
+    set_up()
+    plc = Plc(watchdog=25)
+    frames, last, longest = 0, time.monotonic(), 0
+    expired = threading.Event()
+
+    def note(*_):
+        nonlocal frames, last, longest
+        now = time.monotonic()
+        frames, last, longest = frames + 1, now, max(longest, now - last)
+
+    # The statistics count cycles that the gateway skips as expiries.
+    plc.cyclic.on_timeout(expired.set)
+    plc.cyclic.on_input(note)
+    time.sleep(seconds)
+    print(frames, int(expired.is_set()), 1000 * longest)
+    plc.release()
+
+
 # The time limit for an answer, as for a PLC program that waits for its edge.
 ANSWER_TIME = 1
 # Cycles from new outputs to their effect on the inputs: the next frame of each direction, and frames that are under way.
@@ -446,4 +467,4 @@ def images():
 
 
 part, *arguments = sys.argv[1:]
-{"cycle": cycle, "label": label, "labelled": labelled, "unasked": unasked, "unmoved": unmoved, "cut": cut, "paused": paused, "killed": killed, "soak": soak, "images": images}[part](*map(float, arguments))
+{"cycle": cycle, "label": label, "labelled": labelled, "unasked": unasked, "unmoved": unmoved, "cut": cut, "paused": paused, "killed": killed, "soak": soak, "exchange": exchange, "images": images}[part](*map(float, arguments))

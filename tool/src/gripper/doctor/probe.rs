@@ -66,7 +66,7 @@ pub(super) fn speech(line: &mut Connection, address: &Address) -> Result<Peer, T
         Address::Gcl { .. } | Address::GclUdp { .. } => &[Speech::Gcl, Speech::Binary][..],
         Address::Tcp(_) | Address::Udp { .. } => &[Speech::Binary, Speech::Gcl],
         // Only Ethernet carries GCL.
-        Address::Serial { .. } | Address::Slcan { .. } => &[Speech::Binary],
+        Address::Serial { .. } | Address::Slcan { .. } | Address::SocketCan { .. } => &[Speech::Binary],
     };
     for speech in order {
         let is_sent = match speech {

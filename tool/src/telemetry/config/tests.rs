@@ -114,7 +114,12 @@ fn each_mistake_is_one_line_with_its_place_and_expected_value() {
         (
             [BROKER, NODE, "[[bridge]]\nname = \"a\"\ndevice = \"tcp://a:b\"\n"].concat(),
             "cell.toml, line 9",
-            "expected a serial port or tcp://HOST[:502]",
+            "invalid port `b`; expected 0 to 65535",
+        ),
+        (
+            [BROKER, NODE, "[[bridge]]\nname = \"a\"\ndevice = \"tcp://a?unit=256\"\n"].concat(),
+            "cell.toml, line 9",
+            "wrong address `tcp://a?unit=256`; expected tcp://HOST[:502][?unit=1]",
         ),
         (
             [BROKER, NODE, "[[bridge]]\nname = \"a\"\ndevice = \"b\"\nallow_commands = true\n"].concat(),

@@ -201,7 +201,10 @@ fn debian(release: &mut Release, system: &System, files: &Path) -> Result<()> {
     };
     run_program(dpkg("--install").arg(&package), "")?;
     let bytes = fs::read(&package)?;
-    let trial = is_used(system, &place.join("usr/bin"))?;
+    let mut trial = is_used(system, &place.join("usr/bin"))?;
+    if system.launcher.is_none() {
+        trial += is_served(release, &place)?;
+    }
     // The unit's own targets are the system's.
     for target in ["sysinit", "shutdown"] {
         fs::write(place.join(UNITS).join(format!("{target}.target")), "[Unit]\n")?;
@@ -214,6 +217,20 @@ fn debian(release: &mut Release, system: &System, files: &Path) -> Result<()> {
     run_program(dpkg("--purge").arg("wsg-tools"), "")?;
     ensure!(!installed.iter().any(|file| file.exists()), "dpkg left one of {installed:?}");
     release.add(&name, &bytes, format!("installed, {trial}, unit verified, purged"))
+}
+
+/// Runs the service of an installed package under systemd, in namespaces.
+fn is_served(release: &Release, package: &Path) -> Result<&'static str> {
+    let room = release.folder("service")?;
+    let run = |process_1: &str| {
+        let mut run = Command::new("unshare");
+        run.args(["--mount", "bash"]).arg(root().join("xtask/dist/src/release/service.sh"));
+        run_program(run.env("PACKAGE", package).env("ROOM", &room).env("PROCESS_1", process_1), "")
+    };
+    if run("/bin/true").is_err() {
+        return Ok(", service not tried without the rights of root");
+    }
+    run("/lib/systemd/systemd").map(|_| ", service runs under systemd")
 }
 
 /// Grips with the programs in a container of their image, if there is buildah.

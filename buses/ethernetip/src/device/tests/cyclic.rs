@@ -2,9 +2,6 @@
 
 use super::*;
 
-const FIRST: Event = Event::Outputs { is_first: true };
-const NEXT: Event = Event::Outputs { is_first: false };
-
 /// A device with an owner, and the identifier of the owner's packets.
 fn owned(open: &Fo) -> (Rig, u32) {
     let (mut rig, session) = Rig::with_session();
@@ -20,16 +17,16 @@ fn sequence_numbers_decide_what_is_new() {
             let (mut rig, id) = owned(&OWN);
             // Steps of the sequence number and of the count, and the event.
             for (sequence, count, event) in [
-                (0, 0, Some(FIRST)),
-                (1, 1, Some(NEXT)),
+                (0, 0, Some(Event::Outputs)),
+                (1, 1, Some(Event::Outputs)),
                 (1, 2, None),
                 (0, 3, None),
                 (0xFFFF_FFF0, 4, None),
                 (2, 1, None),
-                (3, 0, Some(NEXT)),
-                (0x7FFF_FFFF, 9, Some(NEXT)),
+                (3, 0, Some(Event::Outputs)),
+                (0x7FFF_FFFF, 9, Some(Event::Outputs)),
                 (0xFFFF_FFFF, 10, None),
-                (0x8000_0000, 10, Some(NEXT)),
+                (0x8000_0000, 10, Some(Event::Outputs)),
             ] {
                 let (sequence, count) = (first.wrapping_add(sequence), first_count.wrapping_add(count));
                 let events = rig.outputs(id, sequence, count, 1);
@@ -41,19 +38,19 @@ fn sequence_numbers_decide_what_is_new() {
 }
 
 #[test]
-fn first_outputs_are_marked_after_idle_and_if_not_taken() {
+fn idle_precedes_the_next_outputs_even_if_not_taken() {
     let (mut rig, id) = owned(&OWN);
     for (sequence, (count, header, events)) in (1..).zip([
         (1, 0, &[][..]),
         (2, 0, &[]),
-        (3, 1, &[FIRST]),
+        (3, 1, &[Event::Outputs]),
         // Only bit 0 is the mode.
         (4, 0xFFFF_FFFE, &[Event::Idle]),
-        (5, 3, &[FIRST]),
-        (6, 1, &[NEXT]),
+        (5, 3, &[Event::Outputs]),
+        (6, 1, &[Event::Outputs]),
         // The mode counts even with a frozen count.
         (6, 0, &[Event::Idle]),
-        (6, 1, &[FIRST]),
+        (6, 1, &[Event::Outputs]),
         (6, 1, &[]),
     ]) {
         assert_eq!(rig.outputs(id, sequence, count, header), events, "{sequence}");
@@ -61,12 +58,15 @@ fn first_outputs_are_marked_after_idle_and_if_not_taken() {
             if header & 1 == 0 { ([0; 8], State::Idle) } else { ([count as u8; 8], State::Run) };
         assert_eq!((*rig.device.outputs(), rig.device.state()), (expected, mode));
     }
-    rig.outputs(id, 10, 7, 0);
-    // Two packets before the application takes an event.
-    rig.packet(PLC, id, 11, "0800 01000000 0102030405060708");
+    // Several packets before the application takes an event.
+    assert!(rig.packet(PLC, id, 10, "0700 01000000 0102030405060708"));
+    rig.packet(PLC, id, 11, "0800 00000000 0102030405060708");
     rig.packet(PLC, id, 12, "0900 01000000 1112131415161718");
-    assert_eq!(rig.events(), [FIRST]);
+    assert_eq!(rig.events(), [Event::Idle, Event::Outputs]);
     assert_eq!(rig.device.outputs()[0], 0x11);
+    rig.packet(PLC, id, 13, "0a00 01000000 0102030405060708");
+    rig.packet(PLC, id, 14, "0b00 00000000 0102030405060708");
+    assert_eq!((rig.events(), rig.device.outputs()), (std::vec![Event::Idle], &[0; 8]));
 }
 
 #[test]
@@ -112,13 +112,13 @@ fn silence_ends_the_owner_and_another_follows_at_once() {
         let (mut rig, id) = owned(&open);
         // Before the first packet, at least 10 s. A frozen count and an idle packet keep the connection alive.
         rig.now = 10_000_000_u64.max(timeout) - 1;
-        assert_eq!(rig.outputs(id, 1, 1, 1), [FIRST]);
+        assert_eq!(rig.outputs(id, 1, 1, 1), [Event::Outputs]);
         rig.now += timeout - 1;
         assert_eq!(rig.outputs(id, 2, 1, 1), []);
         rig.now += timeout - 1;
         assert_eq!(rig.outputs(id, 3, 2, 0), [Event::Idle]);
         rig.now += timeout - 1;
-        assert_eq!(rig.outputs(id, 4, 3, 1), [FIRST]);
+        assert_eq!(rig.outputs(id, 4, 3, 1), [Event::Outputs]);
         rig.now += timeout - 1;
         // A dropped packet does not.
         rig.packet(OTHER, id, 5, "0500 01000000 0000000000000000");
@@ -152,7 +152,7 @@ fn observers_never_set_outputs_and_keep_their_own_time() {
     let watch = rig.open(1, session, &INPUT_ONLY).unwrap();
     let full = rig.open(1, session, &Fo { serial: 9, size: [6, 14], ..INPUT_ONLY }).unwrap();
     rig.now = 9_000_000;
-    rig.packet(PLC, watch, 1, "0100");
+    assert!(!rig.packet(PLC, watch, 1, "0100"));
     rig.packet(PLC, full, 1, "0100 01000000");
     rig.packet(PLC, watch, 2, "0200 01000000 ffffffffffffffff");
     assert_eq!((rig.events(), rig.device.outputs()), (Vec::new(), &[0; 8]));

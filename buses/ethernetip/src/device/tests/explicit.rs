@@ -20,6 +20,10 @@ const WIRE: &str = "
          0080 1000 0002 08ae 00000000 0000000000000000
     6f | 00000000 0a00 0200 0000 0000 b200 1a00 4e02 2006 2401 0af0 0100 0100 0df0efbe 0400 2004 2497 2c96 2c64
        | 00000000 0000 0200 0000 0000 b200 0e00 ce000000 0100 0100 0df0efbe 0000
+    6f | 00000000 0a00 0200 0000 0000 b200 3c00 5402 2006 2401 0af0 30a119e4 2fa119e4 0900 0100 0df0efbe 01000000
+         204e0000 0248 204e0000 0e28 01 09 3404 000000000000 0000 2004 2497 2c98 2c64
+       | 00000000 0000 0400 0000 0000 b200 1e00 d4000000 ........ ........ 0900 0100 0df0efbe 204e0000 204e0000 0000
+         0080 1000 0002 08ae 00000000 0000000000000000 0180 1000 0002 08ae efc00180 0000000000000000
     6f | 00000000 0a00 0200 0000 0000 b200 3400 5402 2006 2401 0af0 30a119e4 2fa119e4 0100 4d4d 44332211 01000000
          204e0000 1048 204e0000 0e48 01 05 2004 2497 2c96 2c64 8000
        | 00000000 0000 0200 0000 0000 b200 1200 d4000102 2701 0e00 0100 4d4d 44332211 0000
@@ -80,6 +84,7 @@ fn malformed_frames_have_the_status_of_the_specification() {
         00000000 0000 ffff 00000000 b200 0200 0100 | 00000000 0000 0200 00000100 b200 0200 0100
         00000000 0000 0200 00000000 b100 0200 0100 | 00000000 0000 0200 00000000 b200 0300 0100
         00000000 0000 0200 00000000 b200 0200 010000 | 00000000 0000 0200 00000000 b200 0000 |
+        00000000 0000 0200 a100 0400 01000000 b100 0400 0100 0100
         00000000 0000 0200 00000000 b200 0100 01 | 00000000 0000 0200 00000000 b200 0400 01ff 2001
         00000000 0000 0400 00000000 b200 0200 0100 0180 S 0180 S
         00000000 0000 0300 00000000 b200 0200 0100 0280 S
@@ -89,8 +94,9 @@ fn malformed_frames_have_the_status_of_the_specification() {
         let data = data.trim().replace('S', socket);
         assert_eq!(rig.command(1, 0x6F, session, &data), Some((0x03, Vec::new())), "{data}");
     }
-    // Connected messages: three items; without a sequence count; of an unknown connection.
+    // Connected messages: unconnected items; three items; without a sequence count; of an unknown connection.
     for (data, status) in [
+        ("00000000 0000 0200 00000000 b200 0400 0100 0100", Some(0x03)),
         ("00000000 0000 0300 a100 0400 01000000 b100 0400 0100 0100", Some(0x03)),
         ("00000000 0000 0200 a100 0400 01000000 b100 0100 01", None),
         ("00000000 0000 0200 a100 0400 01000000 b100 0400 0100 0100", None),
@@ -164,6 +170,7 @@ fn objects_answer_with_their_attributes_or_a_status() {
         ("0e03 20f5 2401 3005", "8e000000 0500a8c0 00ffffff 00000000 00000000 00000000 0000"),
         ("0e03 20f5 2401 3006", "8e000000 0000"),
         ("0e03 20f5 2401 3008", "8e000000 01"),
+        ("0e03 20f5 2401 3009", "8e000000 0000 0100 8001c0ef"),
         ("0e03 20f6 2401 3001", "8e000000 64000000"),
         ("0e03 20f6 2401 3003", "8e000000 020000000005"),
         ("0e03 20f6 2401 300b", "8e000000 02000000 01 6400 01"),
@@ -175,11 +182,13 @@ fn objects_answer_with_their_attributes_or_a_status() {
         ("0e03 2001 2401 3001 0000", "8e000000 0100"),
         ("0e03 2099 2401 3001", "8e000500"),
         ("0e03 2001 2402 3001", "8e001600"),
+        ("0e03 2004 2477 3003", "8e001600"),
         ("0e03 2001 2401 3063", "8e001400"),
         ("0e02 2001 2401", "8e001400"),
         ("0e03 2002 2401 3001", "8e001400"),
         ("0e03 2006 2401 3001", "8e001400"),
         ("4c02 2001 2401", "cc000800"),
+        ("8e03 2001 2401 3001", "8e000800"),
         ("5402 2001 2401", "d4000800"),
         // No class; attribute before the instance; a member; a symbol; an incomplete segment; a reserved size.
         ("0e01 2401", "8e000400"),
@@ -194,11 +203,8 @@ fn objects_answer_with_their_attributes_or_a_status() {
         ("1003 2004 2496 3003 0000000000000001", "90000e00"),
         ("1003 2001 2401 3001 0200", "90000e00"),
         ("1003 2001 2401 3063 0200", "90001400"),
-        ("1003 20f5 2401 300d 3c", "90001300"),
-        ("1003 20f5 2401 300d 3c0000", "90001500"),
-        ("1003 20f5 2401 300d 110e", "90000900"),
-        ("1003 20f5 2401 300d 100e", "90000000"),
-        ("0e03 20f5 2401 300d", "8e000000 100e"),
+        ("1003 20f5 2401 300d 3c00", "90000e00"),
+        ("0e03 20f5 2401 300d", "8e000000 7800"),
         // Unconnected_Send: an odd message with its pad byte, then lengths and nesting.
         ("5202 2006 2401 0a0e 0900 0e03 2001 2401 3001 01 00 0100 0100", "8e000000 0100"),
         ("5202 2006 2401 0a0e 0800 0e03 2001 2401 3001 0200 0100", "d2001300"),
@@ -210,7 +216,7 @@ fn objects_answer_with_their_attributes_or_a_status() {
         // Registers of the application.
         ("1003 2064 2401 3001 3412", "90000000"),
         ("0e03 2064 2401 3001", "8e000000 3412"),
-        ("0e03 2064 2401 3002", "8e001100"),
+        ("0e04 2064 2401 3100 fa01", "8e001100"),
         ("0e03 2064 2409 3001", "8e001600"),
         ("1003 2064 2403 3001 3412", "90000e00"),
         ("0102 2064 2401", "81001400"),
@@ -218,6 +224,8 @@ fn objects_answer_with_their_attributes_or_a_status() {
     ] {
         assert_like(&rig.message(1, session, request, ""), answer, request);
     }
+    // The longest answer.
+    assert_eq!(bytes(&rig.message(1, session, "0e04 2064 2401 3100 f901", "")).len(), MAX_MESSAGE_LEN);
     let all = rig.message(1, session, "0102 20f5 2401", "");
     assert_eq!(bytes(&all).len(), 4 + 12 + 6 + 22 + 2 + 6 + 1 + 8 + 37 + 2);
     let all = rig.message(1, session, "0102 20f6 2401", "");
@@ -228,6 +236,12 @@ fn objects_answer_with_their_attributes_or_a_status() {
             + "02 010100 02000000 01 6400 01"),
         "Ethernet link",
     );
+    rig.device = Device::new(PROFILE, Network { speed: 0, ..NETWORK }, 1);
+    let session = rig.register(1);
+    for (attribute, answer) in [("01", "00000000"), ("02", "01000000"), ("0b", "02000000 00")] {
+        let request = format!("0e03 20f6 2401 30{attribute}");
+        assert_like(&rig.message(1, session, &request, ""), &format!("8e000000 {answer}"), "unknown speed");
+    }
 }
 
 #[test]
@@ -315,6 +329,7 @@ fn class_3_answers_fit_and_end_with_tcp_or_their_time_out() {
     // All connections of the originator have timed out. The loss of TCP ends the next one.
     rig.device.closed(1);
     let session = rig.register(1);
+    assert_like(&rig.message(1, session, "0e03 2001 2401 3005", ""), "8e000000 3000", "no cyclic data");
     rig.open(1, session, &EXPLICIT).unwrap();
     rig.device.closed(1);
     assert_eq!(rig.device.connections().count(), 0);

@@ -1,6 +1,7 @@
 //! The connection manager.
 
 use super::*;
+use std::vec;
 
 /// The extended status of a refusal, and the right value of a wrong size.
 fn refusal(rig: &mut Rig, session: u32, open: &Fo) -> String {
@@ -22,7 +23,7 @@ fn each_wrong_field_has_its_extended_status() {
         (Fo { transport: 0x11, ..OWN }, "0301"),
         (Fo { flags: [2, 4], ..OWN }, "2301"),
         (Fo { flags: [0, 4], ..OWN }, "2301"),
-        (Fo { flags: [4, 2], ..OWN }, "2401"),
+        (Fo { flags: [4, 2], ..EXPLICIT }, "2401"),
         (Fo { flags: [4, 6], ..OWN }, "2401"),
         (Fo { flags: [12, 4], ..OWN }, "2501"),
         (Fo { flags: [0, 0], ..OWN }, "3201"),
@@ -44,6 +45,9 @@ fn each_wrong_field_has_its_extended_status() {
         (path("2004 2497 2c96 2c64 2d00"), "1503"),
         (path("2004 2497 2c96 2c64 8000 8000"), "1503"),
         (path("0100 2004 2c96 2c64"), "1503"),
+        (path("2004 2004 2497 2c96 2c64"), "1503"),
+        (path("3404 0000 0000 0000 0000 3404 0000 0000 0000 0000 2004 2497 2c96 2c64"), "1503"),
+        (path("2004 3404 0000 0000 0000 0000 2497 2c96 2c64"), "1503"),
         (path("2004 2497 2c96 2c64 3001"), "1503"),
         (path("3404 0200 0000 0000 0000 2004 2497 2c96 2c64"), "1401"),
         (path("3404 0100 0000 0100 0000 2004 2497 2c96 2c64"), "1401"),
@@ -66,7 +70,7 @@ fn each_wrong_field_has_its_extended_status() {
         assert_eq!(refusal(&mut rig, session, &open), code, "{}", open.hex());
         assert_eq!((rig.events(), rig.sent()), (Vec::new(), Vec::new()));
     }
-    assert_eq!(rig.device.counters().opens_refused, 42);
+    assert_eq!(rig.device.counters().opens_refused, 45);
     // Lengths: a short request, and a path that is shorter or longer than announced.
     let whole = bytes(&OWN.hex());
     for (request, answer) in [
@@ -149,10 +153,11 @@ fn only_the_opener_closes_over_any_of_its_sessions() {
     assert_like(&rig.message(2, second, &close(1), ""), "ce000000 0100 0100 0df0efbe 0000", "the opener");
     assert_eq!((rig.events(), rig.device.state()), (std::vec![Event::Left(Cause::Closed)], State::Unowned));
     assert!(rig.sent().is_empty());
-    // An owner that the application never knew leaves no trace.
+    // An owner that the application never knew leaves no trace, and takes no request away.
+    assert_like(&rig.message(2, second, "0502 2001 2401", ""), "85000000", "reset");
     rig.open(2, second, &OWN).unwrap();
     rig.message(2, second, &close(1), "");
-    assert_eq!(rig.events(), []);
+    assert_eq!(rig.events(), [Event::Reset(Reset::Restart)]);
 }
 
 #[test]
@@ -165,6 +170,73 @@ fn listen_only_ends_with_the_last_other_connection() {
         rig.message(1, session, &close(serial), "");
         assert_eq!(rig.device.connections().count(), remaining);
     }
+}
+
+#[test]
+fn multicast_is_one_production_until_its_last_consumer_leaves() {
+    let (mut rig, session) = Rig::with_session();
+    let other = rig.register(100);
+    // The socket address of the request has no meaning for a group.
+    let items = "0180 1000 0002 08af c0a80009 0000000000000000";
+    let [owner, input, listen] =
+        [OWN, INPUT_ONLY, LISTEN_ONLY].map(|open| Fo { flags: [4, 2], items, ..open });
+    let open = |rig: &mut Rig, (client, session), open: &Fo| {
+        let answer = rig.message(client, session, &open.hex(), open.items);
+        assert_like(&answer[..8], "d4000000", open.path);
+        answer[16..24].to_owned()
+    };
+    // Identifier, sequence number and receiver of each packet.
+    let sent = |rig: &mut Rig| {
+        let sent = rig.sent().into_iter();
+        sent.map(|(to, packet)| (packet[12..20].to_owned(), packet[20..28].to_owned(), to))
+            .collect::<Vec<_>>()
+    };
+    let packet = |id: &str, sequence: u32| {
+        let group = SocketAddrV4::new(Ipv4Addr::new(239, 192, 1, 128), 2_222);
+        (id.to_owned(), hex(&sequence.to_le_bytes()), group)
+    };
+    let id = open(&mut rig, (1, session), &input);
+    assert_ne!(id, "2fa119e4");
+    assert_eq!(sent(&mut rig), [packet(&id, 1)]);
+    rig.now = 7_000;
+    assert_eq!(open(&mut rig, (100, other), &owner), id);
+    assert_eq!(open(&mut rig, (1, session), &listen), id);
+    let slower = Fo { rpi: [20_000, 40_000], ..owner };
+    assert_eq!(refusal(&mut rig, session, &Fo { serial: 9, ..slower }), "0601");
+    assert_eq!(
+        refusal(&mut rig, session, &Fo { path: INPUT_ONLY.path, size: [2, 14], serial: 9, ..slower }),
+        "1201"
+    );
+    // A unicast connection with the same identifier keeps its own packets and interval.
+    let unicast = SocketAddrV4::new(PLC, 2_222);
+    let own = Fo { rpi: [20_000, 33_000], serial: 9, ..INPUT_ONLY };
+    assert_eq!(open(&mut rig, (1, session), &own), "2fa119e4");
+    assert_eq!(sent(&mut rig), [("2fa119e4".to_owned(), "01000000".to_owned(), unicast)]);
+    rig.message(1, session, &close(9), "");
+    assert_eq!((rig.device.poll_timeout(rig.now), rig.events()), (rig.now, vec![Event::Connected]));
+    for sequence in 2..5 {
+        assert_eq!(sent(&mut rig), []);
+        rig.now = rig.device.poll_timeout(rig.now);
+        assert_eq!(
+            (rig.now, sent(&mut rig)),
+            (u64::from(sequence - 1) * 20_000, vec![packet(&id, sequence)])
+        );
+        // The production survives the originator that began it, and ends with the last one that does not only listen.
+        if sequence == 3 {
+            rig.message(1, session, &close(2), "");
+        }
+    }
+    rig.message(100, other, &close(1), "");
+    rig.now += 20_000;
+    assert_eq!((sent(&mut rig), rig.device.connections().count()), (vec![], 0));
+    // The next production has an interval and an identifier of its own.
+    let next = open(&mut rig, (1, session), &slower);
+    assert_ne!(next, id);
+    assert_eq!(sent(&mut rig), [packet(&next, 1)]);
+    rig.device = Device::new(Profile { allows_multicast: false, ..PROFILE }, NETWORK, 1);
+    let session = rig.register(1);
+    assert_eq!(refusal(&mut rig, session, &owner), "2401");
+    assert_like(&rig.message(1, session, "0e03 20f5 2401 3009", ""), "8e000000 0000000000000000", "no group");
 }
 
 #[test]
