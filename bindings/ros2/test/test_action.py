@@ -87,7 +87,7 @@ def test_goal_is_aborted_with_the_reason(goals: Goals, gripper: Client, simulato
     assert goals.outcome(handle)[0] == GoalStatus.STATUS_ABORTED
     assert not is_moving(simulator) and simulator.observe().width > 50
     reason = "the node was deactivated" if end == "deactivate" else f"stopped by ~/{end}"
-    wait_until(lambda: gripper.health[-1].values[2].value == f"aborted the goal: Halted: {reason}")
+    gripper.wait_for_diagnosed("last error", f"aborted the goal: Halted: {reason}")
     assert goals.send([0.03]).accepted == (end != "deactivate")
 
 

@@ -47,7 +47,7 @@ def test_signal_stops_the_fingers_and_aborts_the_goal(start: Start, simulator: S
     program, client = start(address=simulator.tcp, home_on_activate=True)
     wait_until(lambda: client.joint_states)
     goals = Goals(client)
-    handle = goals.send([0.0], [0.01])
+    handle = wait_until(lambda: (it := goals.send([0.0], [0.01])).accepted and it)
     result = handle.get_result_async()
     wait_until(lambda: is_moving(simulator))
     program.send_signal(number)
@@ -86,6 +86,22 @@ def test_next_start_after_a_kill_says_how_to_continue(start: Start, simulator: S
     assert "E_ACCESS_DENIED" in client.call("release")[1]
     client.ok("acknowledge")
     client.ok("release")
+
+
+def test_requests_from_before_a_pause_are_refused(start: Start, simulator: Simulator) -> None:
+    program, client = start(address=simulator.tcp, home_on_activate=True, speed=0.4)
+    wait_until(lambda: client.joint_states)
+    for service in ("fast_stop", "acknowledge", "grip", "release"):
+        client.ok(service)
+    program.send_signal(signal.SIGSTOP)
+    begin = time.monotonic()
+    stop, *others = [client.begin(it) for it in ("fast_stop", "acknowledge", "grip")]
+    wait_until(lambda: time.monotonic() - begin > 1.5)
+    program.send_signal(signal.SIGCONT)
+    assert all("the request may be old" in wait_for(it).message for it in others)
+    assert wait_for(stop).success and SystemFlags.FAST_STOP in simulator.observe().flags
+    assert simulator.observe().width == pytest.approx(110, abs=0.1)
+    wait_until(lambda: client.call("acknowledge")[0])
 
 
 def test_frozen_gripper_is_reported_within_1_s(start: Start) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from math import inf
 from typing import Callable, NamedTuple, Optional, Union
 
@@ -20,8 +21,7 @@ TEMPERATURE_PERIOD = 1.0
 LATE = 0.7
 # Longest wait for a connection, more than the time-out of the driver.
 OPENING = 5.0
-# Longest wait of a stop for the end of a change between requests and streaming, or of a stream for its confirmation.
-SWITCHING = 0.2
+# Longest wait for the confirmation of a stop that ends a stream.
 CONFIRMATION = 1.0
 
 
@@ -102,18 +102,18 @@ class Stream:
         return Reading(sample.measured, *sample[3:7], "STREAMING", None)  # position, speed, force, flags
 
     def halt(self, fast: bool) -> None:
-        """Stop the fingers, and wait until this has ended the stream. Raises ``StreamEndedError`` if it had ended."""
-        if self.gripper.ended is not None:
-            raise StreamEndedError(self.gripper.ended)
+        """Stop the fingers, and wait until this has ended the stream. Raises ``StreamEndedError`` if it ended otherwise."""
         if fast:
             self.gripper.fast_stop()
         else:
             self.gripper.stop(wait=False)
         end = time.monotonic() + CONFIRMATION
-        while self.gripper.ended is None:
+        while (cause := self.gripper.ended) is None:
             if time.monotonic() > end:
                 raise UnansweredError("the gripper did not confirm the stop")
             time.sleep(0.001)
+        if "stop handle" not in cause:
+            raise StreamEndedError(cause)
 
     def close(self) -> None:
         self.gripper.stop()
@@ -146,7 +146,8 @@ class Link:
         self._wanted = self._requests
         # The error of the last attempt, once it has an outcome.
         self._is_settled, self._error = False, None
-        self._is_closing = False
+        # An attempt runs, or follows without a pause.
+        self._is_opening, self._is_closing = True, False
         self._thread = threading.Thread(target=self._run, name="wsg link", daemon=True)
         self._thread.start()
 
@@ -162,19 +163,21 @@ class Link:
 
     def stream(self, opener: Optional[Callable[[], Stream]]) -> None:
         """Replace the connection by a stream, or by a connection for requests (``None``), and wait for it."""
-        wanted = opener or self._requests
-        with self._changed:
-            if self._wanted is not wanted:
-                self._wanted, self._is_settled = wanted, False
-                self._changed.notify_all()
+        self._want(opener or self._requests)
         try:
             self.wait()
             if opener is not None and not self.is_streaming:
                 raise StreamEndedError("the stream has ended at once; the log has the reason")
         except GripperError:
             # No stream may open later.
-            self._wanted = self._requests
+            self._want(self._requests)
             raise
+
+    def _want(self, wanted: Callable[[], Source]) -> None:
+        with self._changed:
+            if self._wanted is not wanted:
+                self._wanted, self._is_settled = wanted, False
+                self._changed.notify_all()
 
     @property
     def source(self) -> Source:
@@ -196,17 +199,28 @@ class Link:
         return source.gripper
 
     def halt(self, fast: bool) -> None:
-        """Stop the fingers, or lock them by a FAST STOP. Raises ``NotConnectedError`` if there is no connection."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._source is not None, SWITCHING)
+        """Stop the fingers, or lock them by a FAST STOP. Raises ``NotConnectedError`` if there is no connection.
+
+        While a connection opens, the fingers stand still, and the stop follows as soon as it is open.
+        """
+        source = self._next(None)
         try:
-            self.source.halt(fast)
-        except StreamEndedError:
-            # The fingers have stopped. A FAST STOP must lock them, over the next connection.
-            if fast:
-                with self._changed:
-                    self._changed.wait_for(lambda: isinstance(self._source, Requests), OPENING)
-                self.source.halt(True)
+            source.halt(fast)
+        except (StreamEndedError, NotConnectedError):
+            # Another connection replaces this one, such as after the end of a stream.
+            self._next(source).halt(fast)
+
+    def _next(self, before: Optional[Source]) -> Source:
+        """Return the connection that is open or opens after this one. Raises ``NotConnectedError``."""
+
+        def is_known() -> bool:
+            return self._source is not before if self._source else not self._is_opening
+
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_closing or is_known(), OPENING)
+            if self._source in (None, before):
+                raise NotConnectedError(f"no connection: {self._error or 'connecting'}")
+            return self._source
 
     def close(self) -> None:
         """Stop a running motion, announce the end of the connection, and end the thread."""
@@ -221,30 +235,31 @@ class Link:
         while not self._is_closing:
             wanted, source = self._wanted, None
             try:
+                self._is_opening = True
                 source = wanted()
-                self._settle(source, None)
-                self._on_open(source)
+                self._settle(source, None, False)
                 self._read(source, wanted)
-                self._source = None
-                source.close()
-                continue
-            except (GripperError, OSError) as error:
+                # Another connection is wanted.
+                with self._changed:
+                    self._source, self._is_opening = None, True
+            except Exception as error:  # Also one of a callback: the thread must not end.
                 # Nothing resumes by itself: the next connection is for requests.
                 with self._changed:
                     if self._wanted is wanted:
                         self._wanted = self._requests
-                self._settle(None, error)
-                self._on_lost(error)
+                self._settle(None, error, wanted is not self._requests)
+                with suppress(Exception):
+                    self._on_lost(error)
             if source is not None:
                 source.close()
-            if wanted is self._requests:
+            if self._error is not None and wanted is self._requests:
                 if self._reconnect_period == 0:
                     return
                 self._pause(wanted, self._reconnect_period)
 
-    def _settle(self, source: Optional[Source], error: Optional[Exception]) -> None:
+    def _settle(self, source: Optional[Source], error: Optional[Exception], is_opening: bool) -> None:
         with self._changed:
-            self._source, self._error, self._is_settled = source, error, True
+            self._source, self._error, self._is_settled, self._is_opening = source, error, True, is_opening
             self._changed.notify_all()
 
     def _pause(self, wanted: object, seconds: float) -> bool:
@@ -255,12 +270,12 @@ class Link:
     def _read(self, source: Source, wanted: object) -> None:
         """Read the state at the rate, until another connection is wanted. Raises the error that ends the connection."""
         due = time.monotonic()
-        while True:
-            try:
-                self._on_reading(source.read())
-            except StoppedError:
-                pass  # A stop of this program ended the query, not the connection.
-            now = time.monotonic()
-            due = max(due + 1 / self._rate, now)
-            if self._pause(wanted, due - now):
-                return
+        if not self._is_closing:
+            self._on_open(source)
+        while not self._pause(wanted, due - time.monotonic()):
+            with suppress(StoppedError):  # A stop of this program ended the query, not the connection.
+                reading = source.read()
+                if self._is_closing or self._wanted is not wanted:
+                    return
+                self._on_reading(reading)
+            due = max(due + 1 / self._rate, time.monotonic())

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import contextmanager
-from typing import Callable, Iterator, TypeVar
+from contextlib import contextmanager, suppress
+from typing import Callable, Iterator, Optional, TypeVar
 
-from wsg_gripper import BlockedError, BusyError, Gripper, GripperError, GripperState, Motion, MotionError
+from wsg_gripper import BlockedError, BusyError, Gripper, GripperError, GripperState, Motion, MotionError, UnansweredError
 
 T = TypeVar("T")
 
@@ -34,12 +34,17 @@ class Motions:
         self.halts, self.reason = 0, ""
 
     @contextmanager
-    def run(self) -> Iterator[Run]:
-        """Claim the gripper for a motion. Raises ``BusyError`` while another one runs."""
+    def run(self, halts: Optional[int] = None) -> Iterator[Run]:
+        """Claim the gripper for a motion that was requested after ``halts`` halts, or now.
+
+        Raises ``BusyError`` while another one runs, and ``Halted`` after another halt.
+        """
         if not self._running.acquire(blocking=False):
             raise BusyError("another motion is running")
         try:
-            yield Run(self)
+            run = Run(self, self.halts if halts is None else halts)
+            run.check()
+            yield run
         finally:
             self._running.release()
 
@@ -62,30 +67,33 @@ class Motions:
 class Run:
     """The permission for one motion."""
 
-    def __init__(self, motions: Motions) -> None:
-        self._motions, self._halts = motions, motions.halts
+    def __init__(self, motions: Motions, halts: int) -> None:
+        self._motions, self.halts = motions, halts
+        self.is_cancelled: Callable[[], bool] = lambda: False
         self.tick: Callable[[], None] = lambda: time.sleep(POLL_PERIOD)
         """Called while the fingers move."""
 
     def check(self) -> None:
-        """Raise ``Halted`` after a halt."""
-        if self._motions.halts != self._halts:
+        """Raise ``Halted`` after a halt, and after a cancellation."""
+        if self._motions.halts != self.halts:
             raise Halted(self._motions.reason)
+        if self.is_cancelled():
+            raise Halted("the client cancelled the goal")
 
     def wait(self, gripper: Gripper, begin: Callable[[], Motion[T]]) -> T:
-        """Begin a motion and return its result. Raises ``Halted`` with the fingers stopped."""
+        """Begin a motion and return its result. Stops the fingers if it cannot wait for the end."""
         self.check()
         try:
             motion = begin()
-            while True:
-                if self._motions.halts != self._halts:
-                    gripper.stop()
-                    self.check()
-                result = motion.poll()
-                if result is not None:
-                    return result[0]
+            while (result := motion.poll()) is None:
+                self.check()
                 self.tick()
-        except GripperError:
+            return result[0]
+        except BaseException as error:
+            # Other errors mean that nothing moves.
+            if isinstance(error, (Halted, UnansweredError)) or not isinstance(error, GripperError):
+                with suppress(GripperError):
+                    gripper.stop()
             self.check()
             raise
 

@@ -9,7 +9,8 @@ import threading
 import time
 import traceback
 from contextlib import contextmanager
-from math import nan
+from itertools import count
+from math import inf, nan
 from typing import Any, Callable, Iterator, Optional
 
 import rclpy
@@ -25,7 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from wsg_gripper import BlockedError, Gripper, GripperError, InvalidError, NotConnectedError, SystemFlags
+from wsg_gripper import BlockedError, BusyError, Gripper, GripperError, InvalidError, NotConnectedError, SystemFlags
 
 from . import units
 from .link import Link, Reading, Requests, Source, Stream
@@ -39,8 +40,13 @@ except ImportError:
     except ImportError:
         Command = None
 
-# Threads of an executor for each node. At most six callbacks of a node wait for the gripper at once.
+# Threads of an executor for each node. At most five callbacks of a node wait at once: a motion, another request, a lifecycle
+# transition and the stops.
 THREADS = 8
+# Age in s from which a request is refused and a state is not shown as current.
+LATE = 1.0
+# Time in s after a pause of the executor, in which it may run requests from before the pause.
+CATCHING_UP = 0.5
 # Polls of a motion for each feedback of the action.
 FEEDBACK_POLLS = 5
 # Longest wait in s for the delivery of a result at the end of the program.
@@ -94,6 +100,15 @@ class WsgGripper(LifecycleNode):
         self._is_active = False
         self._joints: list[str] = []
         self._reading: Optional[Reading] = None
+        # No request waits for another one, to run late: it runs at once or is refused.
+        self._group = ReentrantCallbackGroup()
+        self._requesting = threading.Lock()
+        self._fast_stops = 0
+        # Halts before the stream began. Another one ends it.
+        self._halts_of_stream = -1
+        self._is_starting = False
+        # Times of the last call by the executor, and of the last pause.
+        self._ticked, self._paused = inf, -inf
         # The reason why there is no connection, and the last error.
         self._loss, self._last_error = "not configured", ""
         self._published_state = ""
@@ -106,18 +121,16 @@ class WsgGripper(LifecycleNode):
         self.add_on_set_parameters_callback(self._check_parameters)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        # A running motion refuses others, so at most one callback of this group waits.
-        motions = ReentrantCallbackGroup()
-        settings, stop, fast_stop, set_points, timer = (MutuallyExclusiveCallbackGroup() for _ in range(5))
+        stop, fast_stop, set_points, health, tick = (MutuallyExclusiveCallbackGroup() for _ in range(5))
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
         self._states = self.create_publisher(String, "~/state", latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for service, act, group in (
-            ("home", self._home, motions),
-            ("grip", self._grip, motions),
-            ("release", self._release, motions),
-            ("acknowledge", self._acknowledge, settings),
-            ("tare", self._tare, settings),
+            ("home", self._home, self._group),
+            ("grip", self._grip, self._group),
+            ("release", self._release, self._group),
+            ("acknowledge", self._acknowledge, self._group),
+            ("tare", self._tare, self._group),
             ("stop", lambda: self._halt("~/stop", False), stop),
             ("fast_stop", lambda: self._halt("~/fast_stop", True), fast_stop),
         ):
@@ -126,15 +139,36 @@ class WsgGripper(LifecycleNode):
         if Command is None:
             self.get_logger().warning("control_msgs is not installed: ~/gripper_cmd does not exist")
         else:
-            callbacks = {"goal_callback": self._accept, "cancel_callback": lambda _: CancelResponse.ACCEPT}
             self._goals = GoalServer(
-                self, Command, "~/gripper_cmd", self._execute, callback_group=motions, **callbacks
+                self,
+                Command,
+                "~/gripper_cmd",
+                self._execute,
+                goal_callback=self._accept,
+                handle_accepted_callback=self._admit,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
             )
         self._publish_state("NO_CONNECTION")
-        self.create_timer(1 / self._value("diagnostics_rate"), self._publish_health, callback_group=timer)
+        self.create_timer(1 / self._value("diagnostics_rate"), self._publish_health, callback_group=health)
+        self.create_timer(0.1, self._tick, callback_group=tick)
         if self._value("autostart"):
-            # In the group of the lifecycle services.
             self._start = self.create_timer(0, self._autostart)
+
+    @property
+    def default_callback_group(self) -> ReentrantCallbackGroup:
+        return self._group
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if now - self._ticked > LATE:
+            self._paused = now
+        self._ticked = now
+
+    def _check_age(self) -> None:
+        """Refuse requests that may have waited in a paused or busy executor. A request has no time that all clients set."""
+        now = time.monotonic()
+        if now - self._ticked > LATE or now - self._paused < CATCHING_UP:
+            raise GripperError(f"the program paused for more than {LATE} s, and the request may be old: repeat it")
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -149,8 +183,14 @@ class WsgGripper(LifecycleNode):
 
     def _autostart(self) -> None:
         self._start.cancel()
+        halts = self._motions.halts
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            if self._motions.halts != halts:
+                self._fail(f"not activated: {self._motions.reason}")
+                return
+            self._is_starting = True
             self.trigger_activate()
+            self._is_starting = False
 
     def _fail(self, text: str) -> TransitionCallbackReturn:
         self._last_error = text
@@ -167,7 +207,7 @@ class WsgGripper(LifecycleNode):
         self._link = Link(address, rate, period, self._opened, self._publish_reading, self._lost)
         try:
             self._link.wait()
-        except GripperError as error:
+        except Exception as error:
             if isinstance(error, InvalidError) or period == 0:
                 self._end_link()
                 return self._fail(units.description(error))
@@ -175,24 +215,27 @@ class WsgGripper(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            if self._value("home_on_activate"):
-                gripper = self._connected().gripper()
-                if SystemFlags.REFERENCED not in gripper.flags():
-                    with self._motions.run() as run:
+            if not self._is_starting:
+                self._check_age()
+            with self._motions.run() as run:
+                if self._value("home_on_activate"):
+                    gripper = self._connected().gripper()
+                    if SystemFlags.REFERENCED not in gripper.flags():
                         run.wait(gripper, gripper.begin_home)
-            if self._value("mode") == "stream":
-                self._open_stream()
-        except GripperError as error:
+                if self._value("mode") == "stream":
+                    self._open_stream(run.halts)
+                run.check()
+                self._is_active = True
+        except Exception as error:
             return self._fail(f"cannot activate: {units.description(error)}")
-        self._is_active = True
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._rest("the node was deactivated")
-        if self._link is not None and self._link.is_streaming:
+        if self._link is not None and self._value("mode") == "stream":
             try:
                 self._link.stream(None)
-            except GripperError as error:
+            except Exception as error:
                 self._note(error)
         return TransitionCallbackReturn.SUCCESS
 
@@ -211,8 +254,7 @@ class WsgGripper(LifecycleNode):
     def _rest(self, reason: str) -> None:
         """Stop a running motion. A held part stays held."""
         self._is_active = False
-        if self._motions.is_running:
-            self._motions.halt_and_wait(reason)
+        self._motions.halt_and_wait(reason)
 
     def end(self, reason: str) -> None:
         """Stop the fingers, abort a running goal, and announce the end of the connection."""
@@ -289,6 +331,8 @@ class WsgGripper(LifecycleNode):
         level, text = units.STALE, loss or "connecting"
         if reading is not None and not loss:
             level, text = units.health(reading.flags)
+            if time.time() - reading.at > LATE:
+                level, text = units.STALE, f"no state for {time.time() - reading.at:.1f} s"
             values["flags"] = " ".join(flag.name or "" for flag in SystemFlags if flag in reading.flags)
             if reading.temperature is not None:
                 values["temperature"] = f"{reading.temperature:.1f} °C"
@@ -305,30 +349,39 @@ class WsgGripper(LifecycleNode):
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 response.message, response.success = act() or "done", True
-            except GripperError as error:
-                self._last_error = response.message = units.description(error)
+            except Exception as error:
+                self._note(error)
+                response.message = units.description(error)
             return response
 
         return answer
 
     def _halt(self, service: str, fast: bool) -> None:
+        self._fast_stops += fast
         self._motions.halt(f"stopped by {service}")
         self._connected().halt(fast)
 
     @contextmanager
     def _requests(self) -> Iterator[Gripper]:
         """Yield the driver for requests. A running stream is suspended, and stays ended if the request fails."""
-        link = self._connected()
-        is_streaming = link.is_streaming
-        if is_streaming:
-            link.stream(None)
-        yield link.gripper()
-        if is_streaming and self._is_active:
-            self._open_stream()
+        self._check_age()
+        if not self._requesting.acquire(blocking=False):
+            raise BusyError("another request is running")
+        try:
+            link, halts = self._connected(), self._motions.halts
+            is_streaming = link.is_streaming
+            if is_streaming:
+                link.stream(None)
+            yield link.gripper()
+            if is_streaming:
+                self._open_stream(halts)
+        finally:
+            self._requesting.release()
 
     @contextmanager
-    def _motion(self) -> Iterator[Run]:
-        with self._motions.run() as run:
+    def _motion(self, halts: Optional[int] = None) -> Iterator[Run]:
+        self._check_age()
+        with self._motions.run(halts) as run:
             if not self._is_active:
                 raise GripperError("the node is not active: a motion requires the lifecycle state active")
             yield run
@@ -338,8 +391,14 @@ class WsgGripper(LifecycleNode):
             run.wait(gripper, gripper.begin_home)
 
     def _acknowledge(self) -> None:
+        stops = self._fast_stops
         with self._requests() as gripper:
-            gripper.acknowledge()
+            if self._fast_stops == stops:
+                gripper.acknowledge()
+            if self._fast_stops != stops:
+                # It must lock the fingers although the acknowledgement may have passed it.
+                gripper.fast_stop()
+                raise Halted(self._motions.reason)
 
     def _tare(self) -> None:
         with self._requests() as gripper:
@@ -361,16 +420,23 @@ class WsgGripper(LifecycleNode):
 
     # Set-points
 
-    def _open_stream(self) -> None:
+    def _open_stream(self, halts: int) -> None:
+        """Begin to stream, unless there was another halt since."""
         address, rate, speed, force = map(self._value, ("address", "joint_state_rate", "speed", "force"))
         link = self._connected()
         link.gripper().flags()  # Without a connection, a stream that opens later would be a surprise.
+        self._halts_of_stream = halts
         link.stream(lambda: Stream(address, rate, speed * 1000, force))
+        if self._motions.halts != halts:
+            link.stream(None)
+            raise Halted(self._motions.reason)
 
     def _follow(self, command: JointState) -> None:
         link = self._link
         try:
-            if not self._is_active or link is None or not isinstance(source := link.source, Stream):
+            self._check_age()
+            is_halted = self._motions.halts != self._halts_of_stream
+            if not self._is_active or is_halted or link is None or not isinstance(source := link.source, Stream):
                 raise GripperError("no stream runs: it begins with the activation in mode stream, and a stop ends it")
             target = units.target(command.name, command.position, [], [], self._joints, source.limits)
             source.gripper.set_target(target.width)
@@ -392,6 +458,7 @@ class WsgGripper(LifecycleNode):
 
     def _accept(self, goal: Any) -> GoalResponse:
         try:
+            self._check_age()
             if not self._is_active or self._motions.is_running:
                 raise GripperError("another motion is running" if self._is_active else "the node is not active")
             self._connected().gripper()
@@ -401,12 +468,17 @@ class WsgGripper(LifecycleNode):
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
-    def _execute(self, handle: Any) -> Any:
-        assert self._goals is not None
+    def _admit(self, handle: Any) -> None:
+        """Let the executor run an accepted goal, unless it is halted before."""
+        halts = self._motions.halts
         self._goals.result_sent.clear()
+        handle.execute(lambda handle: self._execute(handle, halts))
+
+    def _execute(self, handle: Any, halts: int) -> Any:
         outcome = {"stalled": False, "reached_goal": False}
         try:
-            with self._motion() as run:
+            with self._motion(halts) as run:
+                run.is_cancelled = lambda: handle.is_cancel_requested
                 run.tick = self._goal_tick(handle)
                 target, gripper = self._target(handle.request), self._connected().gripper()
                 speed = target.speed or self._value("speed") * 1000
@@ -417,35 +489,32 @@ class WsgGripper(LifecycleNode):
                     move_to(run, gripper, target.width, speed)
                 outcome["reached_goal"] = not outcome["stalled"]
             handle.succeed()
-        except (ValueError, GripperError) as error:
+        except Exception as error:
             outcome["stalled"] = isinstance(error, BlockedError)
             if isinstance(error, Halted) and handle.is_cancel_requested:
                 handle.canceled()
             else:
                 self._note(error, "aborted the goal: ")
                 handle.abort()
-        return self._filled(Command.Result(), outcome)
+        try:
+            reading = self._connected().source.read()
+        except GripperError:
+            reading = None
+        return self._filled(Command.Result(), reading, outcome)
 
     def _goal_tick(self, handle: Any) -> Callable[[], None]:
-        pause, polls = threading.Event(), 0
+        polls = count(1)
 
         def tick() -> None:
-            nonlocal polls
-            polls += 1
-            if handle.is_cancel_requested:
-                self._motions.halt("the client cancelled the goal")
-            elif polls % FEEDBACK_POLLS == 0:
-                handle.publish_feedback(self._filled(Command.Feedback(), {}))
-            pause.wait(POLL_PERIOD)
+            if next(polls) % FEEDBACK_POLLS == 0:
+                handle.publish_feedback(self._filled(Command.Feedback(), self._reading, {}))
+            time.sleep(POLL_PERIOD)
 
         return tick
 
-    def _filled(self, message: Any, outcome: dict[str, bool]) -> Any:
-        """Fill a result or a feedback with the current state. Without one, it has no values, or NaN."""
-        try:
-            state = self._joint_state(self._connected().source.read())
-        except GripperError:
-            state = JointState()
+    def _filled(self, message: Any, reading: Optional[Reading], outcome: dict[str, bool]) -> Any:
+        """Fill a result or a feedback with a state. Without one, it has no values, or NaN."""
+        state = JointState() if reading is None else self._joint_state(reading)
         if hasattr(message, "state"):
             message.state = state
         else:
@@ -486,7 +555,7 @@ def main(args: Optional[list[str]] = None) -> int:
             failures.append(traceback.format_exc())
             os.kill(os.getpid(), signal.SIGTERM)
 
-    spinning = threading.Thread(target=spin, name="executor")
+    spinning = threading.Thread(target=spin, name="executor", daemon=True)
     spinning.start()
     number = signal.sigwait(ends)
     node.end(f"{signal.Signals(number).name} was received")
