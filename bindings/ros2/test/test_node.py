@@ -144,7 +144,9 @@ def test_deactivation_keeps_a_part(gripper: Client, simulator: Simulator) -> Non
 
 def test_two_grippers_in_one_process(grippers: Callable[..., Client], simulator: Simulator) -> None:
     with Simulator(part=50, homing_speed=400) as other:
-        both = [grippers(address=it.tcp, prefix=f"{it.tcp[-1]}_", home_on_activate=True) for it in (simulator, other)]
+        # No clock is published.
+        options = {"use_sim_time": True, "home_on_activate": True}
+        both = [grippers(address=it.tcp, prefix=f"{it.tcp[-1]}_", **options) for it in (simulator, other)]
         for client in both:
             wait_until(lambda: client.joint_states)
         assert [wait_for(it).message for it in [client.begin("grip") for client in both]] == ["HOLDING"] * 2

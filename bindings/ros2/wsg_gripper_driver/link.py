@@ -149,9 +149,12 @@ class Link:
         # An attempt runs, or follows without a pause.
         self._is_opening, self._is_closing = True, False
         self._thread = threading.Thread(target=self._run, name="wsg link", daemon=True)
-        self._thread.start()
 
     # Calls from other threads
+
+    def start(self) -> None:
+        """Begin to connect. Until then, a stop waits."""
+        self._thread.start()
 
     def wait(self) -> None:
         """Wait for the outcome of the current attempt to connect, and raise its error."""

@@ -18,11 +18,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
-from rclpy.duration import Duration
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -149,10 +150,12 @@ class WsgGripper(LifecycleNode):
                 cancel_callback=lambda _: CancelResponse.ACCEPT,
             )
         self._publish_state("NO_CONNECTION")
-        self.create_timer(1 / self._value("diagnostics_rate"), self._publish_health, callback_group=health)
-        self.create_timer(0.1, self._tick, callback_group=tick)
+        # Simulated time may stand still.
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1 / self._value("diagnostics_rate"), self._publish_health, callback_group=health, clock=clock)
+        self.create_timer(0.1, self._tick, callback_group=tick, clock=clock)
         if self._value("autostart"):
-            self._start = self.create_timer(0, self._autostart)
+            self._start = self.create_timer(0, self._autostart, clock=clock)
 
     @property
     def default_callback_group(self) -> ReentrantCallbackGroup:
@@ -205,6 +208,7 @@ class WsgGripper(LifecycleNode):
             return self._fail(f"the parameter mode is {mode}; expected request or stream")
         self._joints = units.joint_names(self._value("prefix"))
         self._link = Link(address, rate, period, self._opened, self._publish_reading, self._lost)
+        self._link.start()
         try:
             self._link.wait()
         except Exception as error:
@@ -244,12 +248,10 @@ class WsgGripper(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self.end("the node was shut down")
+        self.end("the node was shut down, or a transition failed")
         return TransitionCallbackReturn.SUCCESS
 
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self.end("the node failed")
-        return TransitionCallbackReturn.SUCCESS
+    on_error = on_shutdown
 
     def _rest(self, reason: str) -> None:
         """Stop a running motion. A held part stays held."""
@@ -307,8 +309,8 @@ class WsgGripper(LifecycleNode):
 
     def _joint_state(self, reading: Reading) -> JointState:
         message = JointState(name=self._joints)
-        age = Duration(seconds=max(0.0, time.time() - reading.at))
-        message.header.stamp = (self.get_clock().now() - age).to_msg()
+        age = int(max(0.0, time.time() - reading.at) * 1e9)
+        message.header.stamp = Time(nanoseconds=max(0, self.get_clock().now().nanoseconds - age)).to_msg()
         values = (reading.width / 1000, reading.speed / 1000, reading.force)
         message.position, message.velocity, message.effort = ([value / units.FINGERS] * 2 for value in values)
         return message
