@@ -98,7 +98,8 @@ def test_requests_from_before_a_pause_are_refused(start: Start, simulator: Simul
     stop, *others = [client.begin(it) for it in ("fast_stop", "acknowledge", "grip")]
     wait_until(lambda: time.monotonic() - begin > 1.5)
     program.send_signal(signal.SIGCONT)
-    assert all("the request may be old" in wait_for(it).message for it in others)
+    answers = [wait_for(it).message for it in others]
+    assert all("the request may be old" in it for it in answers), answers
     assert wait_for(stop).success and SystemFlags.FAST_STOP in simulator.observe().flags
     assert simulator.observe().width == pytest.approx(110, abs=0.1)
     wait_until(lambda: client.call("acknowledge")[0])

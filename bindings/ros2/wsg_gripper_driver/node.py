@@ -9,6 +9,7 @@ import threading
 import time
 import traceback
 from contextlib import contextmanager
+from functools import partial
 from itertools import count
 from math import inf, nan
 from typing import Any, Callable, Iterator, Optional
@@ -47,7 +48,7 @@ THREADS = 8
 # Age in s from which a request is refused and a state is not shown as current.
 LATE = 1.0
 # Time in s after a pause of the executor, in which it may run requests from before the pause.
-CATCHING_UP = 0.5
+CATCHING_UP = 1.0
 # Polls of a motion for each feedback of the action.
 FEEDBACK_POLLS = 5
 # Longest wait in s for the delivery of a result at the end of the program.
@@ -126,16 +127,11 @@ class WsgGripper(LifecycleNode):
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
         self._states = self.create_publisher(String, "~/state", latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        for service, act, group in (
-            ("home", self._home, self._group),
-            ("grip", self._grip, self._group),
-            ("release", self._release, self._group),
-            ("acknowledge", self._acknowledge, self._group),
-            ("tare", self._tare, self._group),
-            ("stop", lambda: self._halt("~/stop", False), stop),
-            ("fast_stop", lambda: self._halt("~/fast_stop", True), fast_stop),
-        ):
-            self.create_service(Trigger, f"~/{service}", self._answering(act), callback_group=group)
+        for act in (self._home, self._grip, self._release, self._acknowledge, self._tare):
+            self.create_service(Trigger, f"~/{act.__name__[1:]}", self._answering(act))
+        for service, is_fast, group in (("~/stop", False, stop), ("~/fast_stop", True, fast_stop)):
+            halt = self._answering(partial(self._halt, service, is_fast))
+            self.create_service(Trigger, service, halt, callback_group=group)
         self.create_subscription(JointState, "~/joint_commands", self._follow, latest, callback_group=set_points)
         if Command is None:
             self.get_logger().warning("control_msgs is not installed: ~/gripper_cmd does not exist")
@@ -177,10 +173,8 @@ class WsgGripper(LifecycleNode):
         return self.get_parameter(name).value
 
     def _check_parameters(self, parameters: list[Any]) -> SetParametersResult:
-        fixed = [it.name for it in parameters if it.name in (name for name, *_ in FIXED)]
-        if self._link is not None and fixed:
-            return SetParametersResult(successful=False, reason=f"{fixed[0]} requires a cleanup of the node first")
-        return SetParametersResult(successful=True)
+        fixed = self._link is not None and {it.name for it in parameters} & {name for name, *_ in FIXED}
+        return SetParametersResult(successful=not fixed, reason=f"cleanup of the node first: {fixed}" if fixed else "")
 
     # Lifecycle
 
@@ -236,11 +230,11 @@ class WsgGripper(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._rest("the node was deactivated")
-        if self._link is not None and self._value("mode") == "stream":
-            try:
-                self._link.stream(None)
-            except Exception as error:
-                self._note(error)
+        try:
+            if self._value("mode") == "stream":
+                self._connected().stream(None)
+        except Exception as error:
+            self._note(error)
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -294,8 +288,7 @@ class WsgGripper(LifecycleNode):
 
     def _set_loss(self, text: str) -> bool:
         """Publish the reason why there is no connection. Return whether it is a new one."""
-        is_new = text != self._loss
-        self._reading, self._loss = None, text
+        is_new, self._reading, self._loss = text != self._loss, None, text
         if is_new:
             self._publish_state("NO_CONNECTION")
             self._publish_health()
@@ -474,14 +467,19 @@ class WsgGripper(LifecycleNode):
         """Let the executor run an accepted goal, unless it is halted before."""
         halts = self._motions.halts
         self._goals.result_sent.clear()
-        handle.execute(lambda handle: self._execute(handle, halts))
+        handle.execute(partial(self._execute, halts))
 
-    def _execute(self, handle: Any, halts: int) -> Any:
-        outcome = {"stalled": False, "reached_goal": False}
+    def _execute(self, halts: int, handle: Any) -> Any:
+        outcome, polls = {"stalled": False, "reached_goal": False}, count(1)
+
+        def tick() -> None:
+            if next(polls) % FEEDBACK_POLLS == 0:
+                handle.publish_feedback(self._filled(Command.Feedback(), self._reading, {}))
+            time.sleep(POLL_PERIOD)
+
         try:
             with self._motion(halts) as run:
-                run.is_cancelled = lambda: handle.is_cancel_requested
-                run.tick = self._goal_tick(handle)
+                run.is_cancelled, run.tick = lambda: handle.is_cancel_requested, tick
                 target, gripper = self._target(handle.request), self._connected().gripper()
                 speed = target.speed or self._value("speed") * 1000
                 if target.force is not None and target.width < gripper.width() + units.TOLERANCE:
@@ -503,16 +501,6 @@ class WsgGripper(LifecycleNode):
         except GripperError:
             reading = None
         return self._filled(Command.Result(), reading, outcome)
-
-    def _goal_tick(self, handle: Any) -> Callable[[], None]:
-        polls = count(1)
-
-        def tick() -> None:
-            if next(polls) % FEEDBACK_POLLS == 0:
-                handle.publish_feedback(self._filled(Command.Feedback(), self._reading, {}))
-            time.sleep(POLL_PERIOD)
-
-        return tick
 
     def _filled(self, message: Any, reading: Optional[Reading], outcome: dict[str, bool]) -> Any:
         """Fill a result or a feedback with a state. Without one, it has no values, or NaN."""
