@@ -240,7 +240,7 @@ impl Promises {
         requests.show_ready(outputs.contains(Outputs::READY));
         stops.end_turn(turn, outputs, reports)?;
         if let Some(since) = requests.stopped {
-            let has_stopped = reach.has_stopped(turn.now, since, requests.holds_fast_stop());
+            let has_stopped = reach.has_stopped(turn.now, since, levels.unlinked, requests.holds_fast_stop());
             keep(Promise::FastStopReachesTheGripper, has_stopped)?;
         }
         let is_reported = reports.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP));

@@ -23,6 +23,8 @@ pub const IO_CONNECTIONS: usize = 8;
 /// Maximum number of connections with explicit messages (class 3).
 pub const EXPLICIT_CONNECTIONS: usize = 8;
 const CONNECTIONS: usize = IO_CONNECTIONS + EXPLICIT_CONNECTIONS;
+/// Inactivity time-out: the default of the specification. Read-only, because a set value would have to survive power-off.
+const INACTIVITY_S: u16 = 120;
 /// Maximum number of delayed answers to broadcasts.
 const IDENTITIES: usize = 4;
 /// Place of the owner in the table of connections.

@@ -18,6 +18,8 @@ pub(crate) struct Levels {
     /// Maximum time of LINK_OK after the gripper's last intact frame, in milliseconds.
     pub(crate) max_silence_ms: u32,
     pub(crate) outputs: Outputs,
+    /// End of the last turn without LINK_OK.
+    pub(super) unlinked: Instant,
     busy_since: Instant,
     /// Whether the fingers were moving, or a motion of the PLC had neither a result nor ERROR, at the end of a turn since BUSY
     /// rose.
@@ -40,6 +42,7 @@ impl Levels {
             min_busy_ms,
             max_silence_ms: 1_000,
             outputs: Outputs::empty(),
+            unlinked: Instant::from_millis(0),
             busy_since: Instant::from_millis(0),
             has_run: false,
             edge: None,
@@ -57,6 +60,7 @@ impl Levels {
     ) -> Kept {
         let before = std::mem::replace(&mut self.outputs, outputs);
         let has = |wires| outputs.intersects(wires);
+        self.unlinked = if has(Outputs::LINK_OK) { self.unlinked } else { now };
         self.edge = if requests.has_edge { Some(now) } else { self.edge };
         let error = has(Outputs::ERROR);
         if !has(Outputs::LINK_OK) {

@@ -51,13 +51,21 @@ impl Reach {
     }
 
     /// Returns whether the gripper has received a FAST STOP since the request, or may still be waiting for it. A silent
-    /// gripper cannot receive. While FAST STOP `is_held`, a gripper that has left it must receive another.
-    pub(super) fn has_stopped(&self, now: Instant, requested: Instant, is_held: bool) -> bool {
+    /// gripper cannot receive. While FAST STOP `is_held`, a gripper that has left it must receive another, unless its states were
+    /// unknown until `unlinked`.
+    pub(super) fn has_stopped(
+        &self,
+        now: Instant,
+        requested: Instant,
+        unlinked: Instant,
+        is_held: bool,
+    ) -> bool {
         let is_later = |left: &Instant| left.since(requested) > 0;
         let (since, healthy_ms) = match (self.left.filter(is_later).filter(|_| is_held), self.faults) {
             // The bridge depends on a report, which may be late or lost.
             (Some(left), faults) => {
-                (left, faults[0].map_or(left, |fault| later_of(fault, left)).plus(HEALTHY_MS))
+                let known = later_of(unlinked, left);
+                (left, faults[0].map_or(known, |fault| later_of(fault, known)).plus(HEALTHY_MS))
             }
             (None, [Some(last), Some(second)]) if !requested.has_reached(second.plus(HEALTHY_MS)) => {
                 (requested, later_of(last, requested).plus(HEALTHY_MS))

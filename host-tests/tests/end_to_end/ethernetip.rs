@@ -289,8 +289,9 @@ fn tshark_has_no_warning_about_pypi_ethernetip_st_ethernet_ip_and_pycomm3() {
     let mut tshark = Command::new("tshark");
     tshark.args(["-i", "lo", "-f", &filter]);
     let file = std::env::temp_dir().join(format!("ethernetip-{}.pcap", std::process::id()));
-    let mut capture = Capture::start(tshark, file);
+    // Before the capture, because it refuses connections until it listens.
     let _gripper = Gripper::start(ADDRESS);
+    let mut capture = Capture::start(tshark, file);
     let steps = steps();
     let steps: Vec<_> = steps.iter().map(String::as_str).collect();
     // st-ethernet-ip last, because it never closes its connection; pycomm3 first, because it expects no outputs.

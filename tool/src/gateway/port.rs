@@ -49,7 +49,7 @@ impl Port {
 
     /// Opens a CAN interface, which other programs may use, too.
     pub(super) fn open_interface(name: &str, identifiers: Identifiers) -> io::Result<Self> {
-        Self::new(&open_interface(name, identifiers, true)?, Some((Carrier::SocketCan, identifiers)))
+        Self::new(&open_interface(name, identifiers, false)?, Some((Carrier::SocketCan, identifiers)))
     }
 
     fn new(port: &impl AsFd, codec: Option<(Carrier, Identifiers)>) -> io::Result<Self> {

@@ -1,6 +1,7 @@
 //! Transport to a gripper on a CAN bus, through an SLCAN adapter or an interface of Linux SocketCAN.
 
 use std::collections::VecDeque;
+use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
 use std::io::{self, Read, Write};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -23,7 +24,7 @@ pub(crate) const STRUCT_LEN: usize = 16;
 /// Flag in its identifier: not a frame of the bus, but an error of the controller.
 const ERROR: u32 = 1 << 29;
 
-/// Pause between two attempts to write to a full interface, and the longest time of the attempts.
+/// Pause between two attempts to write to a full interface, and the longest time until the bus has taken a frame.
 const RETRY: Duration = Duration::from_millis(2);
 const WRITE_TIME: Duration = Duration::from_secs(1);
 
@@ -136,16 +137,25 @@ impl<S> Encoder<S> {
     }
 }
 
+impl<S: Write> Encoder<S> {
+    /// Writes as many frames as the carrier takes at once, for at most [`WRITE_TIME`].
+    fn write_frames(&mut self, frames: &[u8]) -> io::Result<()> {
+        let start = Instant::now();
+        while let Err(error) = self.port.write_all(frames) {
+            if !is_full(&error) || start.elapsed() > WRITE_TIME {
+                return Err(error);
+            }
+            sleep(RETRY);
+        }
+        Ok(())
+    }
+}
+
+/// Does not wait for the bus: only for stops.
 impl<S: Write> Write for Encoder<S> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let start = Instant::now();
         for frames in self.encode(bytes).chunks(self.carrier.write_len()) {
-            while let Err(error) = self.port.write_all(frames) {
-                if !is_full(&error) || start.elapsed() > WRITE_TIME {
-                    return Err(error);
-                }
-                sleep(RETRY);
-            }
+            self.write_frames(frames)?;
         }
         Ok(bytes.len())
     }
@@ -222,18 +232,40 @@ impl<S: Read + Write> CanStream<S> {
     }
 }
 
+impl<S: Read + Write> CanStream<S> {
+    /// Reads from the port, and appends the messages that the bytes complete. Returns the bytes.
+    #[expect(clippy::disallowed_methods, reason = "the callers treat an interrupted read as no data")]
+    fn receive<'a>(&mut self, chunk: &'a mut [u8; CHUNK_LEN]) -> io::Result<&'a [u8]> {
+        let count = self.encoder.port.read(chunk)?;
+        let bytes = chunk.get(..count).unwrap_or(&[]);
+        self.decoder.decode(bytes, &mut self.received)?;
+        Ok(bytes)
+    }
+
+    /// Waits for the echo of a frame, which an interface returns after the bus has taken it.
+    fn await_echo(&mut self, frame: &[u8]) -> io::Result<()> {
+        let start = Instant::now();
+        while start.elapsed() <= WRITE_TIME {
+            match self.receive(&mut [0; CHUNK_LEN]) {
+                Ok(bytes) if bytes == frame => return Ok(()),
+                Ok(_) => {}
+                Err(error) if matches!(error.kind(), WouldBlock | TimedOut | Interrupted) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Err(io::Error::new(TimedOut, "the CAN bus does not take a frame"))
+    }
+}
+
 impl<S: Read + Write> Read for CanStream<S> {
-    #[expect(clippy::disallowed_methods, reason = "the caller treats an interrupted read as no data")]
+    #[expect(clippy::disallowed_methods, reason = "no signal interrupts a read from the queue")]
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.received.is_empty() {
-            let mut chunk = [0; CHUNK_LEN];
-            let count = self.encoder.port.read(&mut chunk)?;
-            if count == 0 {
+            if self.receive(&mut [0; CHUNK_LEN])?.is_empty() {
                 return Ok(0);
             }
-            self.decoder.decode(chunk.get(..count).unwrap_or(&[]), &mut self.received)?;
             if self.received.is_empty() {
-                return Err(io::ErrorKind::WouldBlock.into());
+                return Err(WouldBlock.into());
             }
         }
         self.received.read(buffer)
@@ -241,9 +273,16 @@ impl<S: Read + Write> Read for CanStream<S> {
 }
 
 impl<S: Read + Write> Write for CanStream<S> {
-    #[expect(clippy::disallowed_methods, reason = "the encoder writes everything or fails")]
+    /// Without a bus, an interface keeps its frames and sends them later. Therefore it gets one at a time, and never a whole motion
+    /// command.
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.encoder.write(bytes)
+        for frames in self.encoder.encode(bytes).chunks(self.encoder.carrier.write_len()) {
+            self.encoder.write_frames(frames)?;
+            if self.encoder.carrier == Carrier::SocketCan {
+                self.await_echo(frames)?;
+            }
+        }
+        Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -283,6 +322,7 @@ mod tests {
             if let Ok(len) = bus.recv(&mut frame) {
                 assert_eq!((len, &frame[..4]), (STRUCT_LEN, &0x100_u32.to_ne_bytes()[..]));
                 rig.line().write_all(&frame[8..][..usize::from(frame[4])]).unwrap();
+                bus.send(&frame).unwrap();
             }
             rig.pass(10);
             let (mut line, mut byte) = (rig.line(), [0]);
@@ -320,6 +360,20 @@ mod tests {
         assert_eq!(rig.state().width, 60.0);
         drop((gripper, is_open));
         bus.join().unwrap();
+    }
+
+    #[test]
+    fn cut_bus_gets_one_frame_of_a_command() {
+        let (interface, bus) = UnixDatagram::pair().unwrap();
+        interface.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        bus.set_nonblocking(true).unwrap();
+        let interface = File::from(OwnedFd::from(interface));
+        let mut stream = CanStream::new(interface, Carrier::SocketCan, Identifiers::DEFAULT);
+        let grip = wsg_protocol::Command::GripPart { width: 20.0, speed: 50.0 };
+        let grip: Vec<u8> = FrameEncoder::new(grip.id().code(), grip).collect();
+        assert_eq!(stream.write_all(&grip).unwrap_err().kind(), TimedOut);
+        let mut frame = [0; STRUCT_LEN];
+        assert!(bus.recv(&mut frame).is_ok() && bus.recv(&mut frame).is_err(), "one frame");
     }
 
     #[test]

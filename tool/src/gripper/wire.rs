@@ -46,7 +46,7 @@ pub fn open(address: &Address) -> io::Result<Box<dyn Wire>> {
             on_can(port, second, Carrier::Slcan, *identifiers)
         }
         Address::SocketCan { interface, identifiers } => {
-            let interface = open_interface(interface, *identifiers, false)?;
+            let interface = open_interface(interface, *identifiers, true)?;
             let second = interface.try_clone()?;
             on_can(interface, second, Carrier::SocketCan, *identifiers)
         }
@@ -88,10 +88,10 @@ pub(crate) fn open_port(device: &str, rate: u32, is_alone: bool) -> io::Result<S
     Ok(port)
 }
 
-/// Opens a CAN interface for the frames of a gripper, and for a report that its controller has left the bus. With `echoes`, it never
-/// waits, and returns each own frame after the bus has taken it.
+/// Opens a CAN interface for the frames of a gripper, for an echo of each own frame after the bus has taken it, and for a report that
+/// its controller has left the bus. Reads and writes wait only if `waits`.
 #[cfg(target_os = "linux")]
-pub(crate) fn open_interface(name: &str, identifiers: Identifiers, echoes: bool) -> io::Result<File> {
+pub(crate) fn open_interface(name: &str, identifiers: Identifiers, waits: bool) -> io::Result<File> {
     use std::os::fd::AsFd;
 
     use socketcan::{CanSocket, Socket, SocketOptions};
@@ -106,8 +106,8 @@ pub(crate) fn open_interface(name: &str, identifiers: Identifiers, echoes: bool)
         let side = identifiers.controller();
         socket.set_filters(&[side.transmit, side.receive].map(|id| (id.as_raw().into(), FILTERED)))?;
         socket.set_error_filter(BUS_OFF)?;
-        socket.set_recv_own_msgs(echoes)?;
-        socket.set_nonblocking(echoes)?;
+        socket.set_recv_own_msgs(true)?;
+        socket.set_nonblocking(!waits)?;
         socket.set_read_timeout(READ_TIMEOUT)?;
         socket.set_write_timeout(WRITE_TIMEOUT)?;
         socket.as_fd().try_clone_to_owned()

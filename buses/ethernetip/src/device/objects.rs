@@ -3,8 +3,7 @@
 
 use core::net::{Ipv4Addr, SocketAddrV4};
 
-use super::Device;
-use super::session::INACTIVITY_S;
+use super::{Device, INACTIVITY_S};
 use crate::cursor::Writer;
 use crate::encapsulation::PORT;
 use crate::forward_open::Kind;

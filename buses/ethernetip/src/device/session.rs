@@ -3,7 +3,7 @@
 use core::net::{Ipv4Addr, SocketAddrV4};
 
 use super::router::Context;
-use super::{Device, IO_CONNECTIONS, SESSIONS, Transmit};
+use super::{Device, INACTIVITY_S, IO_CONNECTIONS, SESSIONS, Transmit};
 use crate::connection::{Client, Connection};
 use crate::cursor::{Writer, copy};
 use crate::encapsulation::{
@@ -12,8 +12,6 @@ use crate::encapsulation::{
 use crate::forward_open::Kind;
 use crate::profile::Registers;
 
-/// Inactivity time-out: the default of the specification. Read-only, because a set value would have to survive power-off.
-pub(super) const INACTIVITY_S: u16 = 120;
 /// Default and minimum of the longest delay of an answer to a broadcast.
 const DEFAULT_DELAY_MS: u16 = 2_000;
 const MIN_DELAY_MS: u16 = 500;
