@@ -152,6 +152,7 @@ def test_two_grippers_in_one_process(grippers: Callable[..., Client], simulator:
         assert [wait_for(it).message for it in [client.begin("grip") for client in both]] == ["HOLDING"] * 2
         for client, width in zip(both, (20, 50)):
             wait_until(lambda: abs(client.joint_states[-1].position[0] * 2000 - width) < 1)
+            client.wait_for_health("ready")
         assert both[1].joint_states[-1].name[0] == f"{other.tcp[-1]}_wsg_finger_left_joint"
 
 
