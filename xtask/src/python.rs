@@ -61,9 +61,14 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
 /// The variable that names, for the tests of the workspace, a Python with the package.
 pub(crate) const VARIABLE: &str = "WSG_PYTHON";
 
-/// Packs a wheel with the library as the workspace's tests build it, and installs it. maturin would spend a minute on compiling the
-/// dependencies again, with fewer features.
+/// Installs the wheel for tests.
 pub(crate) fn install(workspace: &Workspace, environment: &Path) -> Result<()> {
+    install_wheel(environment, &pack(workspace, environment)?)
+}
+
+/// Packs a wheel with the library as the workspace's tests build it, and returns its path. maturin would spend a minute on
+/// compiling the dependencies again, with fewer features.
+pub(crate) fn pack(workspace: &Workspace, environment: &Path) -> Result<PathBuf> {
     process::run(
         &mut workspace.cargo(&format!("build -q --workspace --lib {}", Workspace::FEATURES_OF_TESTS)),
     )?;
@@ -79,10 +84,11 @@ pub(crate) fn install(workspace: &Workspace, environment: &Path) -> Result<()> {
     let mut pack = Command::new(environment.join("bin/python"));
     process::run(pack.args(["-m", "wheel", "pack", "--dest-dir"]).arg(&out).arg(&content))?;
     fs::remove_dir_all(&content)?;
-    install_wheel(environment, &fs::read_dir(out)?.next().context("there is no wheel")??.path())
+    Ok(fs::read_dir(out)?.next().context("there is no wheel")??.path())
 }
 
-fn install_wheel(environment: &Path, wheel: &Path) -> Result<()> {
+/// Installs a wheel in place of any other version.
+pub(crate) fn install_wheel(environment: &Path, wheel: &Path) -> Result<()> {
     let mut pip = Command::new(environment.join("bin/python"));
     pip.args(["-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--force-reinstall"]);
     process::run(pip.arg(wheel))

