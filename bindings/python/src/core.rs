@@ -13,9 +13,9 @@ use wsg_protocol::driver::blocking::{GclGripper, Gripper};
 use wsg_protocol::driver::{Error, MotionResult, Pending, StopHandle, StopKind};
 
 use crate::error::{self, Failure};
+use crate::feed::Feed;
 use crate::interpreter::process;
 use crate::line::{Calls, Clock, Line};
-use crate::updates::Feed;
 
 /// A driver of either protocol.
 pub(crate) enum Driver {

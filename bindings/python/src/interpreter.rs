@@ -6,12 +6,15 @@
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst, fence};
 use std::thread::{self, ThreadId};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use pyo3::prelude::*;
 
 /// Longest wait for the threads that are attaching when the end begins.
 const TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Interval at which a thread that waits handles Python's signals.
+pub(crate) const SIGNALS: Duration = Duration::from_millis(50);
 
 /// The thread that ends the interpreter.
 static ENDING: OnceLock<ThreadId> = OnceLock::new();
@@ -74,4 +77,9 @@ pub(crate) fn process() -> usize {
 /// Counts a fork. Python calls it in each child.
 pub(crate) fn count_fork() {
     FORKS.fetch_add(1, SeqCst);
+}
+
+/// Returns the value of `time.time()`.
+pub(crate) fn unix_now() -> f64 {
+    SystemTime::UNIX_EPOCH.elapsed().map_or(0.0, |elapsed| elapsed.as_secs_f64())
 }

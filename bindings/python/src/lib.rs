@@ -6,6 +6,7 @@
 mod core;
 mod driver;
 mod error;
+mod feed;
 mod interpreter;
 mod line;
 mod number;

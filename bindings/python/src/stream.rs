@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc::RecvTimeoutError};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 use std::{io, mem, thread};
 
 use pyo3::exceptions::PyStopIteration;
@@ -20,10 +20,9 @@ use wsg_tool::Address;
 use crate::core::{Close, close_at_exit};
 use crate::driver::{Limits, homing, limits_as_tuple};
 use crate::error;
-use crate::interpreter::{detach, process};
+use crate::interpreter::{SIGNALS, detach, process, unix_now};
 use crate::line::{Calls, Clock, Line};
 use crate::number::shortest;
-use crate::updates::SIGNALS;
 
 type Running = SetPointStream<Line, Clock>;
 /// Number, measured and received time in s, position in mm, speed in mm/s, force in N, flags, set-point in mm.
@@ -380,11 +379,6 @@ fn row(sample: &Sample, clock: Reading) -> Row {
     let [position, speed, force] = [position, speed, force].map(shortest);
     let times = [measured_at, received_at].map(|at| clock.unix(at));
     (number, times[0], times[1], position, speed, force, flags.bits(), set_point.map(shortest))
-}
-
-/// Returns the value of `time.time()`.
-pub(crate) fn unix_now() -> f64 {
-    SystemTime::UNIX_EPOCH.elapsed().map_or(0.0, |elapsed| elapsed.as_secs_f64())
 }
 
 impl Inner {
