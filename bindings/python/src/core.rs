@@ -182,9 +182,8 @@ impl Core {
         })
     }
 
-    /// Acknowledges a FAST STOP, unless there was another stop since the request.
-    pub(crate) fn acknowledge(&self, handles_signals: bool) -> Result<(), Failed> {
-        let stops = self.stops();
+    /// Acknowledges a FAST STOP, unless the gripper has been stopped since `stops`.
+    pub(crate) fn acknowledge(&self, handles_signals: bool, stops: usize) -> Result<(), Failed> {
         self.with(handles_signals, |driver| {
             self.check_stops(stops)?;
             each!(driver, gripper => gripper.acknowledge())
@@ -279,16 +278,22 @@ impl Core {
 
     /// Stops the fingers at once, even while another thread waits in a motion.
     pub(crate) fn stop(&self, handles_signals: bool, kind: StopKind) -> Result<(), Failed> {
+        self.stops.fetch_add(1, SeqCst);
+        self.confirm_stop(handles_signals, kind)
+    }
+
+    /// Waits until a stop that was requested before has its confirmation, and sends it again if necessary. Withdraws no requests that
+    /// were made in the meantime.
+    pub(crate) fn confirm_stop(&self, handles_signals: bool, kind: StopKind) -> Result<(), Failed> {
         if self.is_foreign() {
             return Err(Error::NotConnected.into());
         }
-        self.stops.fetch_add(1, SeqCst);
         // Kept until the stop, so that no other thread takes the driver first.
         let held = self.driver.try_lock().ok();
         let is_busy = held.is_none();
         if is_busy {
             // The driver repeats it if the line does not accept it now.
-            let _ = self.send_stop(kind);
+            let _ = self.hand_over(kind);
         }
         if is_busy && self.is_called_by_this_thread() {
             return Ok(());
@@ -308,6 +313,10 @@ impl Core {
     /// Sends a stop without waiting for its confirmation.
     pub(crate) fn send_stop(&self, kind: StopKind) -> std::io::Result<()> {
         self.stops.fetch_add(1, SeqCst);
+        self.hand_over(kind)
+    }
+
+    fn hand_over(&self, kind: StopKind) -> std::io::Result<()> {
         match kind {
             StopKind::Stop => self.handle.stop(),
             StopKind::FastStop => self.handle.fast_stop(),

@@ -248,9 +248,9 @@ driver_methods! {
 
         #[pyo3(signature = (reply=None))]
         fn acknowledge(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-            let handles_signals = reply.is_none();
+            let (handles_signals, stops) = (reply.is_none(), self.core.stops());
             self.make(py, reply, &self.queries, false, move |core| {
-                core.acknowledge(handles_signals).map(|()| NOTHING)
+                core.acknowledge(handles_signals, stops).map(|()| NOTHING)
             })
         }
 
@@ -383,13 +383,13 @@ impl Driver {
         reply: Option<Reply>,
         act: impl FnOnce(&mut core::Driver) -> Result<Begun, Failure> + Send + 'static,
     ) -> PyResult<Py<PyAny>> {
+        // A stop withdraws what was requested before it, and may still wait for the driver.
+        let stops = self.core.stops();
         if reply.is_some() {
-            return self.make(py, reply, &self.motions, true, |core| {
-                let stops = core.stops();
+            return self.make(py, reply, &self.motions, true, move |core| {
                 core.begin(false, stops, act)?.wait(core, stops, false)
             });
         }
-        let stops = self.core.stops();
         let moved = detach(py, || {
             let begun = self.core.begin(true, stops, act)?;
             let result = if waits { Some(begun.wait(&self.core, stops, true)?) } else { None };

@@ -89,8 +89,7 @@ impl Queue {
             if *stage == Stage::Cancelled {
                 drop(stage);
                 if is_motion {
-                    // Confirms the stop that `cancel` sent.
-                    let _ = core.stop(false, StopKind::Stop);
+                    let _ = core.confirm_stop(false, StopKind::Stop);
                 }
                 return;
             }

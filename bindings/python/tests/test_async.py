@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Awaitable, Callable
 
 import pytest
+from test_streaming import proxy, wait_for
 
 from wsg_gripper import AsyncGripper, Gripper, GripperState, GripResult, NotConnectedError, StoppedError, SystemFlags
 from wsg_gripper.sim import Simulator
@@ -81,6 +82,36 @@ def test_stop_of_another_task_ends_a_grip(simulator: Simulator) -> None:
             await grip
 
     run(program, simulator)
+
+
+def test_stop_withdraws_the_requests_that_wait(simulator: Simulator) -> None:
+    async def program(gripper: AsyncGripper) -> None:
+        moves = [asyncio.create_task(gripper.move(width, speed=5)) for width in (100, 20)]
+        await moving(gripper)
+        await gripper.stop()
+        outcomes = await asyncio.gather(*moves, return_exceptions=True)
+        assert [type(outcome) for outcome in outcomes] == [StoppedError, StoppedError]
+        assert SystemFlags.MOVING not in await gripper.flags()
+
+    run(program, simulator)
+
+
+def test_fast_stop_withdraws_an_acknowledgement_that_waits(simulator: Simulator) -> None:
+    async def outcome() -> object:
+        with proxy(simulator.tcp) as (address, passes):
+            async with AsyncGripper(address) as gripper:
+                passes.clear()
+                # The query waits for its answer and keeps the driver.
+                requests = [gripper.width(), gripper.acknowledge(), gripper.fast_stop()]
+                tasks = [asyncio.create_task(request) for request in requests]
+                await asyncio.sleep(0.1)
+                passes.set()
+                outcomes = await asyncio.gather(*tasks, return_exceptions=True)
+        return outcomes[1]
+
+    # If the computer pauses, the acknowledgement precedes the stop.
+    wait_for(lambda: isinstance(asyncio.run(outcome()), StoppedError), 60)
+    assert SystemFlags.FAST_STOP in simulator.observe().flags
 
 
 def test_end_of_the_block_leaves_no_fast_stop(simulator: Simulator) -> None:
