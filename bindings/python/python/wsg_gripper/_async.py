@@ -118,9 +118,10 @@ class AsyncGripper:
                 print(await gripper.width())
             print(await grip)
 
-    Requests of other tasks pass a motion. The cancellation of a motion, by ``asyncio.wait_for`` for example, stops the
-    fingers. A cancelled query has no effect. The line is served by threads without the interpreter lock, so the event loop
-    never waits for the gripper.
+    Requests of other tasks pass a motion, but another motion waits for it. The cancellation of a motion, by
+    ``asyncio.wait_for`` for example, stops the fingers. A cancelled query has no effect. A stop, also by a cancellation,
+    withdraws the motions and acknowledgements that wait: they raise :class:`StoppedError`. The line is served by threads
+    without the interpreter lock, so the event loop never waits for the gripper.
 
     ``await AsyncGripper(address)`` connects outside of ``async with``; call :meth:`close` at the end.
     """
