@@ -383,7 +383,7 @@ impl Driver {
         reply: Option<Reply>,
         act: impl FnOnce(&mut core::Driver) -> Result<Begun, Failure> + Send + 'static,
     ) -> PyResult<Py<PyAny>> {
-        // A stop withdraws what was requested before it, and may still wait for the driver.
+        // A stop withdraws the requests before it, some of which may still wait for the driver.
         let stops = self.core.stops();
         if reply.is_some() {
             return self.make(py, reply, &self.motions, true, move |core| {
