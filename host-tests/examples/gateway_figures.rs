@@ -11,12 +11,13 @@
 
 use std::io::Write;
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use host_tests::example::Process;
 use host_tests::gateway::Gateway;
 use host_tests::modbus_tcp::Master;
 use wsg_fieldbus::{CommandFlags, InputImage, OutputImage};
@@ -242,7 +243,7 @@ impl Plc {
 
 /// A process that copies the bytes of a connection, and both of its ends.
 struct Copier {
-    process: Child,
+    _process: Process,
     master: Master,
     arrivals: Receiver<Instant>,
 }
@@ -250,12 +251,11 @@ struct Copier {
 impl Copier {
     fn start() -> Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
-        let mut process = Command::new(std::env::current_exe()?)
-            .arg(listener.local_addr()?.to_string())
-            .stdout(Stdio::piped())
-            .spawn()?;
+        let mut copier = Command::new(std::env::current_exe()?);
+        copier.arg(listener.local_addr()?.to_string()).stdout(Stdio::piped());
+        let mut process = Process(copier.spawn()?);
         let mut address = String::new();
-        let stdout = process.stdout.take().context("stdout is piped")?;
+        let stdout = process.0.stdout.take().context("stdout is piped")?;
         std::io::BufRead::read_line(&mut std::io::BufReader::new(stdout), &mut address)?;
         let master = Master::connect(address.trim().parse()?, BOUND)?;
         let (mut server, _) = listener.accept()?;
@@ -268,7 +268,7 @@ impl Copier {
                 }
             }
         });
-        Ok(Self { process, master, arrivals })
+        Ok(Self { _process: process, master, arrivals })
     }
 
     /// Returns the time from a write to its arrival.
@@ -277,14 +277,6 @@ impl Copier {
         let written = Instant::now();
         self.master.send(OutputImage::ZERO)?;
         Ok(self.arrivals.recv_timeout(BOUND)? - written)
-    }
-}
-
-impl Drop for Copier {
-    fn drop(&mut self) {
-        // An error means that it has already ended.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
     }
 }
 

@@ -28,7 +28,6 @@ use std::fmt;
 use std::fs::File;
 use std::path::Path;
 #[cfg(unix)]
-use std::process::Child;
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -339,20 +338,6 @@ pub fn is_for_pico(elf: &Path) -> bool {
 
     let entry = || Some(object::File::parse(&*std::fs::read(elf).ok()?).ok()?.entry());
     entry().is_some_and(|entry| rp2040::FLASH.contains(&entry))
-}
-
-/// A process that ends on drop.
-#[cfg(unix)]
-#[derive(Debug)]
-struct Process(Child);
-
-#[cfg(unix)]
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Fails only when the process has already ended.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// Ignores poisoning: no lock here guards data that a panic could leave inconsistent.

@@ -1,6 +1,19 @@
-//! Paths of built examples and programs, for tests that run them.
+//! Paths of built examples and programs, and the processes of tests that run them.
 
 use std::path::{Path, PathBuf};
+use std::process::Child;
+
+/// A process that ends on drop.
+#[derive(Debug)]
+pub struct Process(pub Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Fails only when the process has already ended.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
 
 /// Returns the path of an example of the calling test's package.
 ///

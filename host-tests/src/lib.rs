@@ -23,7 +23,7 @@
 //! | [`flash_model`] | the settings flash for the library: two pages and their faults |
 //! | [`flash_pages`] | contents of two flash pages, also after a power failure |
 //! | [`fuzz_bodies`] | properties that must hold for any input bytes |
-//! | [`mod@example`] | location of compiled examples |
+//! | [`mod@example`] | location of compiled examples; processes that end with their owner |
 //! | [`gateway`] | `wsg gateway` as a process, with its address |
 //! | [`gdb`] | client of the GDB remote protocol |
 //! | [`gripper_end`] | the virtual gripper on an emulated board's line, with line faults |

@@ -1,7 +1,7 @@
 //! The exchanges, and the busy loops beside them.
 
 use std::hint;
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::{Command, ExitCode, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -10,7 +10,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use host_tests::ethernetip::{Reception, Scanner, Times, own_address, until};
-use host_tests::example;
+use host_tests::example::{self, Process};
 use host_tests::gateway::Gateway;
 use host_tests::masters::{PYTHON_VARIABLE, printed};
 use host_tests::namespaces::{Network, at_controller, prioritize_grippers, prioritize_threads};
@@ -102,7 +102,7 @@ fn ethernetip_with_wsg_sim(options: &Options) -> Result<Reception> {
     let address = own_address();
     let mut command = Command::new(example::program("wsg-sim"));
     command.args(["--ethernetip", &address.to_string()]).stdin(Stdio::null()).stdout(Stdio::null());
-    let gripper = Killed(command.spawn()?);
+    let gripper = Process(command.spawn()?);
     let scanner = Scanner::with(address, OutputImage::ZERO, TIMES);
     received(&scanner, gripper.0.id(), options)
 }
@@ -164,15 +164,4 @@ fn prioritize(process: u32, options: &Options) -> Result<()> {
     let output = chrt.output().context("chrt of Debian's util-linux")?;
     ensure!(output.status.success(), "{}", printed(&output));
     Ok(())
-}
-
-/// A process that is killed on drop.
-struct Killed(Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        // An error means that it has already ended.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }

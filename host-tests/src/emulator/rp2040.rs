@@ -16,9 +16,10 @@ use wsg_pico::{INPUTS, OUTPUTS, outputs_from_gpios};
 
 use super::sockets::Sockets;
 use super::watch::Watch;
-use super::{Chip, Extras, Lines, PATIENCE, Process, lock};
+use super::{Chip, Extras, Lines, PATIENCE, lock};
 use crate::can_bus::CanBus;
 use crate::clock::Clock;
+use crate::example::Process;
 use crate::gdb::from_hex;
 use crate::masters::NODE_VARIABLE;
 use crate::mcp2515::Mcp2515;

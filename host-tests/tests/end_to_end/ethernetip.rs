@@ -8,7 +8,7 @@
 use crate::modbus_tcp::{BOUND, serve, through_gateway};
 use crate::profinet::{Capture, SUSPICIOUS};
 use host_tests::ethernetip::{Scanner, own_address, until};
-use host_tests::example;
+use host_tests::example::{self, Process};
 use host_tests::gateway::{Gateway, unpaused};
 use host_tests::masters::{node, printed, python, python_of};
 use rseip::cip::epath::EPath;
@@ -20,7 +20,7 @@ use std::array;
 use std::fmt::Write;
 use std::net::{Ipv4Addr, SocketAddrV4, TcpStream};
 use std::pin::pin;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::{Mutex, PoisonError};
 use tokio::time::timeout;
 use wsg_fieldbus::{CommandFlags, GripperFlags, OutputImage};
@@ -86,33 +86,20 @@ impl Step {
     }
 }
 
-/// A running `wsg-sim`, which is killed on drop.
-struct Gripper(Child);
-
-impl Gripper {
-    /// Starts a gripper, which accepts scanners when this returns.
-    fn start(address: Ipv4Addr) -> Self {
-        let arguments = ["--part", "20", "--time-scale", "10", "--ethernetip", &address.to_string()];
-        let mut command = Command::new(example::program("wsg-sim"));
-        let gripper =
-            Self(command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).spawn().unwrap());
-        until("the adapter listens", || TcpStream::connect((address, bus_ethernetip::PORT)).is_ok());
-        gripper
-    }
-}
-
-impl Drop for Gripper {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// Starts a gripper, which accepts scanners when this returns.
+fn start_gripper(address: Ipv4Addr) -> Process {
+    let arguments = ["--part", "20", "--time-scale", "10", "--ethernetip", &address.to_string()];
+    let mut command = Command::new(example::program("wsg-sim"));
+    let gripper = command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).spawn().map(Process);
+    until("the adapter listens", || TcpStream::connect((address, bus_ethernetip::PORT)).is_ok());
+    gripper.unwrap()
 }
 
 /// Runs a test at a virtual gripper with this address, and through a gateway with it to another gripper.
 fn at_gripper_and_gateway(address: Ipv4Addr, test: impl Fn()) {
     let _ports = PORTS.lock().unwrap_or_else(PoisonError::into_inner);
     {
-        let _gripper = Gripper::start(address);
+        let _gripper = start_gripper(address);
         test();
     }
     through_gateway(&["--ethernetip", &address.to_string()], |_| test());
@@ -290,7 +277,7 @@ fn tshark_has_no_warning_about_pypi_ethernetip_st_ethernet_ip_and_pycomm3() {
     tshark.args(["-i", "lo", "-f", &filter]);
     let file = std::env::temp_dir().join(format!("ethernetip-{}.pcap", std::process::id()));
     // Before the capture, because it refuses connections until it listens.
-    let _gripper = Gripper::start(ADDRESS);
+    let _gripper = start_gripper(ADDRESS);
     let mut capture = Capture::start(tshark, file);
     let steps = steps();
     let steps: Vec<_> = steps.iter().map(String::as_str).collect();

@@ -5,9 +5,10 @@
 //! in their names and skips missing ones: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`, `in_namespaces`.
 
 use bus_profinet::Stored;
+use host_tests::example::{self, Process};
+use host_tests::extent;
 use host_tests::masters::{PYTHON_VARIABLE, printed};
 use host_tests::namespaces::{self, End, at_controller, prioritize, prioritize_grippers};
-use host_tests::{example, extent};
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -65,7 +66,7 @@ impl Network {
     }
 
     /// Starts `wsg gateway` for a gripper on TCP.
-    fn serve_gateway(&self, config: Config, options: &[&str]) -> (Program, ServerThread) {
+    fn serve_gateway(&self, config: Config, options: &[&str]) -> (Process, ServerThread) {
         let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
         let server = self.0.at(End::Gripper, || ServerThread::start(config, &lines, None).unwrap());
         let address = format!("tcp://{}", server.tcp_address().unwrap());
@@ -77,12 +78,12 @@ impl Network {
     }
 
     /// Starts a program and waits until it serves PROFINET.
-    fn start(&self, program: &str, arguments: &[&str]) -> Program {
+    fn start(&self, program: &str, arguments: &[&str]) -> Process {
         let mut program = self.command(program, arguments);
         let mut child =
             program.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
-        let program = Program(child);
+        let program = Process(child);
         assert!(lines.any(|line| line == "profinet eth0"), "it ended before it served PROFINET");
         // Drain the remaining output, so that the program never blocks on it.
         thread::spawn(move || lines.for_each(drop));
@@ -110,16 +111,6 @@ impl Network {
         let mut tshark = at_controller(self.0.number(), "tshark");
         tshark.args(["-i", "eth0"]);
         Capture::start(tshark, file)
-    }
-}
-
-/// A running program, which is killed on drop.
-struct Program(Child);
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 

@@ -3,6 +3,7 @@
 
 use crate::clients::{ACK, ACK_DONE, BOUND, HOME, OneFramePerRecv, floats, frame};
 use crate::modbus_tcp::grip_with_tokio_modbus;
+use host_tests::example::Process;
 use host_tests::terminal::Terminal;
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -10,7 +11,7 @@ use std::net::TcpStream;
 use std::os::unix::fs::symlink;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Instant;
 use wsg_protocol::Status;
 
@@ -28,16 +29,17 @@ fn program(arguments: &[&str]) -> Command {
 
 /// A running program, with the place of each of its lines by name.
 struct Served {
-    child: Child,
+    _process: Process,
     places: HashMap<String, String>,
 }
 
 impl Served {
     /// Starts the program and waits for its output line that begins with `last`.
     fn start(arguments: &[&str], last: &str) -> Self {
-        let mut child = program(arguments).stdout(Stdio::piped()).spawn().expect("wine must be installed");
-        let printed = BufReader::new(child.stdout.take().expect("stdout is piped"));
-        let mut served = Self { child, places: HashMap::new() };
+        let child = program(arguments).stdout(Stdio::piped()).spawn();
+        let mut process = Process(child.expect("wine must be installed"));
+        let printed = BufReader::new(process.0.stdout.take().expect("stdout is piped"));
+        let mut served = Self { _process: process, places: HashMap::new() };
         for line in printed.lines() {
             let line = line.expect("readable output");
             let (name, place) = line.split_once(' ').expect("a name and a place");
@@ -62,14 +64,6 @@ impl Served {
         let head = format!("{request} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n");
         stream.write_all((head + body).as_bytes()).unwrap();
         stream
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        // An error means that the program has already ended.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 

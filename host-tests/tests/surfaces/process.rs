@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Write};
 use std::net::SocketAddr;
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use host_tests::example;
+use host_tests::example::{self, Process};
 use host_tests::gateway::Gateway;
 
 use crate::fieldbus;
@@ -88,7 +88,7 @@ type Open = Arc<Mutex<HashMap<usize, Sender<Outcome>>>>;
 
 /// A program that executes numbered requests from its standard input, each in a thread.
 pub(crate) struct Program {
-    child: Child,
+    _process: Process,
     requests: ChildStdin,
     number: usize,
     open: Open,
@@ -96,9 +96,9 @@ pub(crate) struct Program {
 
 impl Program {
     pub(crate) fn start(program: &mut Command) -> Self {
-        let mut child =
-            program.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
-        let mut lines = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
+        let child = program.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+        let mut process = Process(child.expect("the program starts"));
+        let mut lines = BufReader::new(process.0.stdout.take().expect("stdout is piped")).lines();
         assert_eq!(
             lines.next().and_then(Result::ok).as_deref(),
             Some("ready"),
@@ -121,8 +121,8 @@ impl Program {
                 let _ = sender.send(outcome);
             }
         });
-        let requests = child.stdin.take().expect("stdin is piped");
-        Self { child, requests, number: 0, open }
+        let requests = process.0.stdin.take().expect("stdin is piped");
+        Self { _process: process, requests, number: 0, open }
     }
 
     pub(crate) fn request(&mut self, request: &str) -> Receiver<Outcome> {
@@ -131,14 +131,6 @@ impl Program {
         self.open.lock().expect("no panic").insert(self.number, sender);
         writeln!(self.requests, "{} {request}", self.number).expect("the program reads");
         outcome
-    }
-}
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        // An error means that the program has already ended.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
