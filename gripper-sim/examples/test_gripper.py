@@ -18,7 +18,7 @@ class Gripper:
         command = [os.environ.get("WSG_SIM", "wsg-sim"), *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.at = {}
-        # The page is the last line, as long as --control is asked for.
+        # The page is the last line, if --control is given.
         while "page" not in self.at:
             line = self.process.stdout.readline()
             assert line, "wsg-sim has ended"

@@ -57,7 +57,7 @@ fn typos_finds_nothing_in_any_text() {
 
 #[test]
 fn no_text_of_the_repository_has_a_wording_of_the_list() {
-    let files = [files("rs"), files("md")].concat();
+    let files = [files("rs"), files("md"), files("py")].concat();
     assert!(files.len() > 500, "only {} files found", files.len());
     let mut found = Vec::new();
     for file in files {
@@ -66,9 +66,9 @@ fn no_text_of_the_repository_has_a_wording_of_the_list() {
             continue;
         }
         let text = fs::read_to_string(&file).unwrap();
-        let is_rust = file.extension().is_some_and(|extension| extension == "rs");
+        let extension = file.extension().and_then(|extension| extension.to_str()).unwrap();
         found.extend(
-            wordings(&text, is_rust)
+            wordings(&text, extension)
                 .map(|(line, wording, instead)| format!("{path}:{line}: \"{wording}\": {instead}")),
         );
     }
@@ -113,15 +113,27 @@ fn planted_wordings_are_found_in_comments_and_messages_only() {
         // for it, if there\n\
         // is none.\n\
         fn behind(what: u8) { error(\"half a frame is what was received\") }\n";
-    let found: Vec<_> = wordings(source, true).map(|(line, wording, _)| (line, wording)).collect();
+    let in_file = |text: &str, extension| -> Vec<_> {
+        wordings(text, extension).map(|(line, wording, _)| (line, wording)).collect()
+    };
+    let found = in_file(source, "rs");
     assert_eq!(found, [(1, "nobody"), (1, "asked for"), (2, "if there is none"), (4, "what was")]);
     let page = "The bytes behind it.\n\n```sh\ncat nobody\n```\n";
-    assert_eq!(wordings(page, false).map(|(line, ..)| line).collect::<Vec<_>>(), [1]);
+    assert_eq!(in_file(page, "md"), [(1, "behind")]);
+    let source = "\
+        # Nobody\n\
+        def behind(what):\n    \"\"\"Return half a frame.\n\n    It is what was\n    received.\n    \"\"\"\n\
+        fail(\"goes on\")\n";
+    assert_eq!(in_file(source, "py"), [(1, "nobody"), (5, "what was"), (8, "goes on")]);
 }
 
 /// Returns each wording found in the text, with the number of its first line and the replacement.
-fn wordings(text: &str, is_rust: bool) -> impl Iterator<Item = (usize, &'static str, &'static str)> {
-    let prose = if is_rust { prose_of_source(text) } else { prose_of_page(text) };
+fn wordings(text: &str, extension: &str) -> impl Iterator<Item = (usize, &'static str, &'static str)> {
+    let prose = match extension {
+        "rs" => prose_of_source(text, "//"),
+        "py" => prose_of_source(text, "#"),
+        _ => prose_of_page(text),
+    };
     // Words with their line numbers. An empty word marks the end of a sentence.
     let mut words: Vec<(usize, String)> = Vec::new();
     for (line, part) in prose {
@@ -154,11 +166,18 @@ fn without_code(text: &str) -> String {
 }
 
 /// Returns the comments and strings of a source by line. An empty part ends a comment.
-fn prose_of_source(source: &str) -> Vec<(usize, String)> {
+fn prose_of_source(source: &str, marker: &str) -> Vec<(usize, String)> {
     let mut prose = Vec::new();
+    let mut is_docstring = false;
     for (index, line) in source.replace("'\"'", "''").lines().enumerate() {
+        let is_inside = is_docstring;
+        is_docstring ^= marker == "#" && line.matches("\"\"\"").count() % 2 == 1;
+        if is_inside {
+            prose.push((index + 1, line.trim().to_owned()));
+            continue;
+        }
         // Only a comment on its own line continues the previous comment.
-        let (code, comment) = match line.split_once("//") {
+        let (code, comment) = match line.split_once(marker) {
             Some((code, comment)) if code.trim().is_empty() => ("", comment),
             Some((code, comment)) if !code.ends_with(':') => (code, comment),
             _ => (line, ""),

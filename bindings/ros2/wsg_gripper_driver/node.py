@@ -54,7 +54,7 @@ FEEDBACK_POLLS = 5
 # Longest wait in s for the delivery of a result at the end of the program.
 RESULT_TIMEOUT = 0.5
 
-# Parameters: name, default, range, description. Those of the first list require a cleanup of the node.
+# Parameters: name, default, range, description. Changes of the first list require a cleanup of the node.
 FIXED = (
     ("address", "", None, "Address of the gripper, such as tcp://192.168.1.20; empty: none"),
     ("mode", "request", None, "request: services and ~/gripper_cmd move the fingers; stream: ~/joint_commands"),

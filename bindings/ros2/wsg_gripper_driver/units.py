@@ -43,7 +43,7 @@ def joint_names(prefix: str) -> list[str]:
 
 
 def _common(what: str, values: Sequence[float], count: int) -> float:
-    """Return the value for each finger, and 0 if there is none."""
+    """Return the value for each finger, and 0 without values."""
     if len(values) not in (0, count):
         raise ValueError(f"there are {len(values)} values of {what}; expected {count}, one for each joint")
     if not all(map(math.isfinite, values)) or len(values) and max(values) - min(values) > 1e-6:
