@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager, suppress
+from itertools import count
 from typing import Callable, Iterator, Optional, TypeVar
 
 from wsg_gripper import BlockedError, BusyError, Gripper, GripperError, GripperState, Motion, MotionError, UnansweredError
@@ -31,6 +32,8 @@ class Motions:
 
     def __init__(self) -> None:
         self._running = threading.Lock()
+        # No two halts, which threads may request at the same time, have the same number.
+        self._numbers = count(1)
         self.halts, self.reason = 0, ""
 
     @contextmanager
@@ -55,7 +58,7 @@ class Motions:
     def halt(self, reason: str) -> None:
         """End the running motion. The thread that runs it stops the fingers."""
         self.reason = reason
-        self.halts += 1
+        self.halts = next(self._numbers)
 
     def halt_and_wait(self, reason: str) -> None:
         """End the running motion and wait for its end, up to 3 s."""
