@@ -66,6 +66,9 @@ const SETUP_TIME: Duration = Duration::from_secs(3);
 /// Maximum number of messages that wait to be printed.
 const MAX_MESSAGES: usize = 64;
 
+/// Number of a reader of registers without a connection. It is never the PLC: a tool must not hide the PLC's silence.
+pub(super) const READER: u64 = u64::MAX;
+
 /// Problem of a line after a pause of the computer.
 const PAUSED: &str = "this computer paused";
 /// Problem of a line to a silent gripper.
@@ -253,7 +256,7 @@ impl Gateway {
     fn read_registers(&self, function: u8, first: u16, count: u16) -> Option<Vec<u16>> {
         let ([a1, a0], [q1, q0]) = (first.to_be_bytes(), count.to_be_bytes());
         let mut response = [0; MAX_PDU_LEN];
-        let reader = (self.number(), Ipv4Addr::UNSPECIFIED.into());
+        let reader = (READER, Ipv4Addr::UNSPECIFIED.into());
         let len = self.serve(reader, &[function, a1, a0, q1, q0], &mut response);
         let [code, _, bytes @ ..] = response.get(..len)? else { return None };
         (*code == function)

@@ -20,14 +20,11 @@ use fieldbus_host::profinet::{Interface, ProfinetLine};
 use wsg_bridge_fw::plc::TcpInput;
 use wsg_fieldbus::{InputImage, OutputImage};
 
-use super::bridge::{Gateway, report};
+use super::bridge::{Gateway, READER, report};
 use crate::file_flash::replace;
 
 /// Serial number in the device's records. The gripper's own is unknown before it answers.
 const SERIAL_NUMBER: u32 = 0;
-
-/// Number of the reader of registers. It is never the PLC: a tool must not hide the PLC's silence.
-const READER: u64 = u64::MAX;
 
 /// An open network interface, with the data of its station.
 pub(super) struct Profinet {

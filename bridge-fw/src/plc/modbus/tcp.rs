@@ -432,7 +432,7 @@ mod tests {
         assert_eq!(written(&mut rig, 3, 3, none, 2), stop, "master 4 holds it");
         rig.turn(4, TcpInput::Left { master: 4 });
         assert_eq!(written(&mut rig, 5, 3, none, 3), none);
-        // A pause ends every connection, and the end of this one finds it out.
+        // A pause ends every connection, without a report of its end.
         assert_eq!(written(&mut rig, 6, 3, stop, 3), stop);
         rig.turn(1_000, TcpInput::Paused);
         assert!(
