@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Callable, Generic, Optional, TypeVar
 
+from ._closing import Closing
 from ._errors import UnsupportedError
 from ._native import Driver
 from ._native import Motion as _NativeMotion
@@ -74,7 +74,7 @@ class Motion(Generic[T]):
         return self._native.poll() is not None
 
 
-class Gripper:
+class Gripper(Closing):
     """A connection to a gripper. Each method waits for the reply.
 
     Addresses:
@@ -129,17 +129,6 @@ class Gripper:
     def _then(value: T, convert: Callable[[T], U]) -> U:
         """Convert the result of a request. ``AsyncGripper`` awaits it first."""
         return convert(value)
-
-    def __enter__(self: Self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: Optional[type[BaseException]],
-        error: Optional[BaseException],
-        traceback: Optional[TracebackType],
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop a running motion, announce the end of the connection and close it (command set, 3.1.2)."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Callable, Generic, Optional, Protocol, TypeVar
 
+from ._closing import Closing
 from ._types import GripperState, Reading, SystemFlags
 
 T = TypeVar("T")
@@ -23,7 +23,7 @@ def reading(row: tuple[float, Optional[float], Optional[float], Optional[float],
     return Reading(received, width, speed, force, GripperState(state), SystemFlags(flags))
 
 
-class Subscription(Generic[T]):
+class Subscription(Closing, Generic[T]):
     """An iterator over new states of a gripper, returned by ``subscribe``.
 
     It waits for a new state, and returns none twice. A slow loop gets the newest state. It ends with an exception as soon as
@@ -33,17 +33,6 @@ class Subscription(Generic[T]):
     def __init__(self, native: _Source[Row], convert: Callable[[Row], T]) -> None:
         self._native: _Source[Row] = native
         self._convert = convert
-
-    def __enter__(self) -> Subscription[T]:
-        return self
-
-    def __exit__(
-        self,
-        kind: Optional[type[BaseException]],
-        error: Optional[BaseException],
-        traceback: Optional[TracebackType],
-    ) -> None:
-        self.close()
 
     def __iter__(self) -> Subscription[T]:
         return self

@@ -15,9 +15,9 @@ from __future__ import annotations
 import time
 from enum import Enum
 from os import PathLike, fspath
-from types import TracebackType
-from typing import NamedTuple, Optional, TypeVar, Union
+from typing import NamedTuple, Optional, Union
 
+from ._closing import Closing
 from ._errors import RefusedError
 from ._gripper import Gripper
 from ._native import Rig, Server
@@ -26,7 +26,6 @@ from ._types import GripperState, Status, SystemFlags
 __all__ = ["Fault", "Observation", "Simulator", "VirtualGripper"]
 
 Option = Union[str, float, bool, "PathLike[str]"]
-Self = TypeVar("Self", bound="Simulator")
 
 STIFFNESS = 100.0
 """Default stiffness of a part in N/mm."""
@@ -163,7 +162,7 @@ class VirtualGripper:
         self._rig.inject(data)
 
 
-class Simulator:
+class Simulator(Closing):
     """A virtual gripper on sockets of this computer, served by a thread in real time.
 
     ::
@@ -200,17 +199,6 @@ class Simulator:
         self.page = f"http://{control}/"
         host, _, port = (modbus or "").rpartition(":")
         self.modbus = host, int(port)
-
-    def __enter__(self: Self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: Optional[type[BaseException]],
-        error: Optional[BaseException],
-        traceback: Optional[TracebackType],
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Power the gripper off and close its lines."""
