@@ -248,7 +248,8 @@ fn fast_stop_is_red_on_every_page_until_acknowledged() {
 
     dark.click("#acknowledge");
 
-    for tab in [&mut light, &mut dark] {
+    // The window that has sent the command repeats it after a refusal for its age.
+    for tab in [&mut dark, &mut light] {
         tab.until(&format!("!({red}) && {STATE} === 'IDLE'"));
     }
 }
@@ -376,15 +377,22 @@ fn page_asks_its_own_server_alone_and_the_console_stays_empty() {
     for opened in tab.events_of("Network.webSocketCreated") {
         assert_eq!(opened["url"], json!(socket));
     }
+    let noted = |tab: &mut Tab, method: &str| {
+        let mut noted = tab.events_of(method);
+        // On a busy machine, the server refuses clicks for their age, which the page shows and the browser notes.
+        let is_of_age = |text: &str| text.contains("a status of 412 ");
+        noted.retain(|event| !event["entry"]["text"].as_str().is_some_and(is_of_age));
+        noted
+    };
     for method in
         ["Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded", "Audits.issueAdded"]
     {
-        assert_eq!(tab.events_of(method), Vec::<Value>::new(), "{method}");
+        assert_eq!(noted(&mut tab, method), Vec::<Value>::new(), "{method}");
     }
     // Cross-check: a violation must be detected.
     tab.eval("document.body.append(Object.assign(new Image(), { src: 'http://127.0.0.1:9/x.png' })); 0");
     tab.until("document.images[0].complete");
-    assert!(!tab.events_of("Audits.issueAdded").is_empty() || !tab.events_of("Log.entryAdded").is_empty());
+    assert!(["Audits.issueAdded", "Log.entryAdded"].iter().any(|method| !noted(&mut tab, method).is_empty()));
 }
 
 /// Serves an empty page of another origin while the tests run.
@@ -569,7 +577,10 @@ fn frames_are_filtered_and_paused() {
     // Without the pause, the page would show it by now: it shows a later frame.
     let mut witness = gripper.open();
     witness.click("#part_out");
-    tab.until("getComputedStyle(document.querySelector('#drawing .part')).visibility === 'hidden'");
+    // The witness repeats its click after a refusal for its age.
+    for tab in [&mut witness, &mut tab] {
+        tab.until("getComputedStyle(document.querySelector('#drawing .part')).visibility === 'hidden'");
+    }
     assert_eq!(tab.eval(log), before);
     tab.click("#pause");
     let other = other.local_addr().unwrap();
