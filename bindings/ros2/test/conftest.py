@@ -46,6 +46,10 @@ def is_moving(simulator: Simulator) -> bool:
     return abs(simulator.observe().speed) > 1
 
 
+def stamp_of(message: JointState) -> float:
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+
 class Client:
     """A client of one gripper node: calls its services, and records its topics."""
 

@@ -105,16 +105,21 @@ def test_requests_from_before_a_pause_are_refused(start: Start, simulator: Simul
     wait_until(lambda: client.call("acknowledge")[0])
 
 
-def test_frozen_gripper_is_reported_within_1_s(start: Start) -> None:
+@pytest.mark.parametrize("mode", ["request", "stream"])
+def test_frozen_gripper_is_reported_within_1_s(start: Start, mode: str) -> None:
     command = [Path(sys.executable).with_name("wsg-sim"), "--tcp", "127.0.0.1:0", "--homing-speed", "400"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
         assert simulator.stdout is not None
         lines = iter(simulator.stdout.readline, "")
         address = next(line.split()[1] for line in lines if line.startswith("tcp "))
-        _, client = start(address=f"tcp://{address}", home_on_activate=True)
+        _, client = start(address=f"tcp://{address}", mode=mode, home_on_activate=True)
         wait_until(lambda: client.joint_states)
         delays = []
         for _ in range(3):
+            if mode == "stream":
+                client.ok("acknowledge")
+                assert client.change("deactivate") and client.change("activate")
+                client.wait_for_state("STREAMING")
             simulator.send_signal(signal.SIGSTOP)
             begin = time.monotonic()
             client.wait_for_state("NO_CONNECTION")
