@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -12,7 +14,7 @@ from pathlib import Path
 from typing import Any, Callable
 
 import pytest
-from conftest import Client, is_moving, wait_for, wait_until
+from conftest import BOUND, Client, is_moving, wait_for, wait_until
 from wsg_gripper import SystemFlags
 from wsg_gripper.sim import Simulator
 
@@ -86,6 +88,23 @@ def test_next_start_after_a_kill_says_how_to_continue(start: Start, simulator: S
     assert "E_ACCESS_DENIED" in client.call("release")[1]
     client.ok("acknowledge")
     client.ok("release")
+
+
+def test_second_implementation_reads_joint_states_and_calls_a_service(start: Start, simulator: Simulator) -> None:
+    program = Path(sys.prefix).parent / "second-client/debug/second-client"
+    _, client = start(address=simulator.tcp, home_on_activate=True)
+
+    def is_held() -> bool:
+        command = [program, os.environ["ROS_DOMAIN_ID"], f"/{client.name}", "grip"]
+        lines = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=BOUND, check=True).stdout.splitlines()
+        assert len(lines) == 4
+        for stamp, rest in (line.split(maxsplit=1) for line in lines[:3]):
+            assert time.time() - int(stamp) / 1e9 < BOUND
+            assert re.fullmatch(r'\["wsg_finger_left_joint", "wsg_finger_right_joint"\] \[(0\.\d+), \1\]', rest), rest
+        return lines[3] == "true HOLDING"
+
+    wait_until(is_held)
+    assert simulator.observe().force == pytest.approx(40, abs=1)
 
 
 def test_requests_from_before_a_pause_are_refused(start: Start, simulator: Simulator) -> None:
