@@ -30,6 +30,10 @@ from wsg_gripper.sim import Simulator
 
 faulthandler.dump_traceback_later(600, exit=True)
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--set-points", type=float, default=5, metavar="SECONDS", help="duration of test_set_points.py")
+
+
 BOUND = 60
 """Longest wait in s. The machine may pause a process."""
 

@@ -20,7 +20,7 @@ SHORTEST_INTERVAL = 0.024
 # Time in s between two queries of the temperature, which is not updated automatically.
 TEMPERATURE_PERIOD = 1.0
 # Checks for the next sample in each period of a stream.
-CHECKS = 4
+CHECKS = 10
 # Age from which the sample of a stream counts as a lost connection. The stream itself ends after 1 s.
 LATE = 0.7
 # Longest wait for a connection, more than the time-out of the driver.
@@ -100,14 +100,14 @@ class Stream:
         self._number, self._period, self._due = -1, 1 / rate, time.monotonic()
 
     def read(self) -> Reading:
-        """Wait for the next period, and for a new sample. Raises ``StreamEndedError``, or ``UnansweredError`` if it is late."""
-        time.sleep(max(0, self._due - time.monotonic()))
-        self._due = max(self._due + self._period, time.monotonic())
+        """Wait for a new sample, at most one in each period. Raises ``StreamEndedError``, or ``UnansweredError`` if it is late."""
+        # A sample of the same rate may be early by half a period.
+        time.sleep(max(0, self._due - self._period / 2 - time.monotonic()))
         while (sample := self.gripper.latest()).number == self._number:
             if time.time() - sample.received > LATE:
                 raise UnansweredError(f"no answer for {LATE} s")
             time.sleep(self._period / CHECKS)
-        self._number = sample.number
+        self._number, self._due = sample.number, max(self._due, time.monotonic()) + self._period
         return Reading(sample.measured, *sample[3:7], "STREAMING", None)  # position, speed, force, flags
 
     def halt(self, fast: bool) -> None:
