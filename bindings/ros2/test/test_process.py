@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Callable
 
 import pytest
-from conftest import BOUND, Client, is_moving, wait_for, wait_until
+from conftest import BOUND, Client, is_moving, stamp_of, wait_for, wait_until
 from wsg_gripper import SystemFlags
 from wsg_gripper.sim import Simulator
 
@@ -133,17 +133,18 @@ def test_frozen_gripper_is_reported_within_1_s(start: Start, mode: str) -> None:
         address = next(line.split()[1] for line in lines if line.startswith("tcp "))
         _, client = start(address=f"tcp://{address}", mode=mode, home_on_activate=True)
         wait_until(lambda: client.joint_states)
-        delays = []
+        delays, stamps = [], []
         for _ in range(3):
             if mode == "stream":
                 client.ok("acknowledge")
                 assert client.change("deactivate") and client.change("activate")
                 client.wait_for_state("STREAMING")
             simulator.send_signal(signal.SIGSTOP)
-            begin = time.monotonic()
+            begin, stopped = time.monotonic(), time.time()
             client.wait_for_state("NO_CONNECTION")
             delays.append(time.monotonic() - begin)
             wait_until(lambda: client.health[-1].level == b"\3")
+            stamps.append(stamp_of(client.joint_states[-1]) - stopped)
             count = len(client.joint_states)
             simulator.send_signal(signal.SIGCONT)
             begin = time.monotonic()
@@ -152,3 +153,4 @@ def test_frozen_gripper_is_reported_within_1_s(start: Start, mode: str) -> None:
             wait_until(lambda: len(client.joint_states) > count)
         simulator.kill()
     assert min(delays[::2]) < 1 and min(delays[1::2]) < 2, "reported, connected again"
+    assert min(stamps) < 0.2, "no old value as current"
