@@ -109,6 +109,10 @@ class Client:
     def lifecycle(self) -> str:
         return wait_for(self.request(GetState, "get_state", GetState.Request())).current_state.label
 
+    def wait_until_active(self) -> None:
+        """Wait for a position, and for the end of the activation that homes the gripper."""
+        wait_until(lambda: self.joint_states and self.lifecycle() == "active")
+
     def state(self) -> str:
         return self.states[-1] if self.states else ""
 

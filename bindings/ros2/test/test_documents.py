@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import signal
 import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
@@ -38,21 +35,11 @@ def paste(script: str, folder: Path) -> str:
     shutil.copytree(PACKAGE, folder / "bindings/ros2")
     for old, new in (("/path/to/repository", str(folder)), ("127.0.0.1:11000", unused_address()), ("8080", "0")):
         script = script.replace(old, new)
-    shell = subprocess.Popen(
-        ["bash", "-c", BEFORE + script],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-    try:
-        output, _ = shell.communicate(timeout=120)
-    finally:
-        if shell.poll() is None:
-            os.killpg(shell.pid, signal.SIGKILL)
-    assert shell.returncode == 0 and "Traceback" not in output, output
-    return output
+    # On a time-out, it also ends the programs that the script has started.
+    command = ["timeout", "-k", "5", "120", "bash", "-c", BEFORE + script]
+    done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert done.returncode == 0 and "Traceback" not in done.stdout, done.stdout
+    return done.stdout
 
 
 def test_blocks_of_the_page_build_the_package_and_grip(tmp_path: Path) -> None:

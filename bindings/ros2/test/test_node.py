@@ -64,7 +64,7 @@ def test_start_moves_and_acknowledges_nothing(grippers: Callable[..., Client], s
     assert client.joint_states == [], "without a reference, positions have no meaning"
     client.ok("acknowledge")
     assert client.change("activate")
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     assert simulator.observe().width == pytest.approx(110, abs=0.1), "homed as the parameter requests"
 
 
@@ -125,7 +125,7 @@ def test_killed_gripper_is_reported_and_found_again(grippers: Callable[..., Clie
     line = unused_address()
     simulator = Simulator(tcp=line, homing_speed=400)
     client = grippers(address=f"tcp://{line}", home_on_activate=True)
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     reported, returned = [], []
     for _ in range(3):
         begin = time.monotonic()
@@ -166,7 +166,7 @@ def test_two_grippers_in_one_process(grippers: Callable[..., Client], simulator:
         options = {"use_sim_time": True, "home_on_activate": True}
         both = [grippers(address=it.tcp, prefix=f"{it.tcp[-1]}_", **options) for it in (simulator, other)]
         for client in both:
-            wait_until(lambda: client.joint_states)
+            client.wait_until_active()
         assert [wait_for(it).message for it in [client.begin("grip") for client in both]] == ["HOLDING"] * 2
         for client, width in zip(both, (20, 50)):
             wait_until(lambda: abs(client.joint_states[-1].position[0] * 2000 - width) < 1)

@@ -47,7 +47,7 @@ def test_signal_stops_the_fingers_and_aborts_the_goal(start: Start, simulator: S
     from test_action import GoalStatus, Goals
 
     program, client = start(address=simulator.tcp, home_on_activate=True)
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     goals = Goals(client)
     handle = wait_until(lambda: (it := goals.send([0.0], [0.01])).accepted and it)
     result = handle.get_result_async()
@@ -79,7 +79,7 @@ def test_wrong_parameter_is_an_error_in_one_line(start: Start) -> None:
 
 def test_next_start_after_a_kill_says_how_to_continue(start: Start, simulator: Simulator) -> None:
     program, client = start(address=simulator.tcp, home_on_activate=True)
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     program.kill()
     wait_until(lambda: SystemFlags.FAST_STOP in simulator.observe().flags)
     program, client = start(address=simulator.tcp, home_on_activate=True)
@@ -109,7 +109,7 @@ def test_second_implementation_reads_joint_states_and_calls_a_service(start: Sta
 
 def test_requests_from_before_a_pause_are_refused(start: Start, simulator: Simulator) -> None:
     program, client = start(address=simulator.tcp, home_on_activate=True, speed=0.4)
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     for service in ("fast_stop", "acknowledge", "grip", "release"):
         client.ok(service)
     program.send_signal(signal.SIGSTOP)
@@ -132,7 +132,7 @@ def test_frozen_gripper_is_reported_within_1_s(start: Start, mode: str) -> None:
         lines = iter(simulator.stdout.readline, "")
         address = next(line.split()[1] for line in lines if line.startswith("tcp "))
         _, client = start(address=f"tcp://{address}", mode=mode, home_on_activate=True)
-        wait_until(lambda: client.joint_states)
+        client.wait_until_active()
         delays, stamps = [], []
         for _ in range(3):
             if mode == "stream":

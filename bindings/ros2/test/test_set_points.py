@@ -72,11 +72,11 @@ def measure(start: Start, script: Path, seconds: float) -> Optional[tuple[Figure
     with simulators[0], simulators[1]:
         for simulator in simulators:
             simulator.wait_for_script()
-        _, client = start(
+        program, client = start(
             address=simulators[0].tcp, mode="stream", joint_state_rate=float(RATE), home_on_activate=True, speed=0.4
         )
         wait_until(lambda: client.state() == "STREAMING" or "cannot activate" in str(client.health[-1:]))
-        subscription = client.node.create_subscription(JointState, f"/{client.name}/joint_states", receive, 10)
+        client.node.create_subscription(JointState, f"/{client.name}/joint_states", receive, 10)
         with StreamingGripper(simulators[1].tcp, RATE, max_speed=400) as stream:
             following = threading.Thread(target=follow)
             following.start()
@@ -92,7 +92,7 @@ def measure(start: Start, script: Path, seconds: float) -> Optional[tuple[Figure
                 client.set_point(width_at(now) / 2000)
             has_ended = stream.ended is not None
         following.join()
-        client.node.destroy_subscription(subscription)
+        program.terminate()
     if has_ended or min(len(of_node), len(of_stream)) < RATE * seconds / 2:
         return None
     return figures("node", begin, of_node), figures("stream", begin, of_stream)
