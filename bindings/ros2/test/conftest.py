@@ -31,7 +31,7 @@ from wsg_gripper.sim import Simulator
 faulthandler.dump_traceback_later(600, exit=True)
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--set-points", type=float, default=5, metavar="SECONDS", help="duration of test_set_points.py")
+    parser.addoption("--set-points", type=float, metavar="SECONDS", help="compare set-points for this time")
 
 
 BOUND = 60

@@ -1,6 +1,8 @@
 """Set-points at 100 Hz by the node, compared with the stream of the Python package in the same run.
 
-``cargo xtask ros2 -- --set-points=60 -k set_points_at`` prints the figures of a minute.
+``cargo xtask ros2 -- --set-points=60 -k set_points_at`` prints the figures of a minute, and fails if the node is worse three times. It
+needs a quiet computer: other programs delay the node more than the stream, which does not run Python. Without the option, the
+test takes 5 s, and only requires that the fingers follow.
 """
 
 from __future__ import annotations
@@ -12,13 +14,13 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from statistics import fmean
-from typing import Any, NamedTuple, Optional
+from typing import Any, NamedTuple
 
 import pytest
 from conftest import BOUND, stamp_of, wait_until
 from sensor_msgs.msg import JointState
 from test_process import Start, start  # noqa: F401
-from wsg_gripper import StreamEndedError, StreamingGripper
+from wsg_gripper import GripperError, StreamEndedError, StreamingGripper
 from wsg_gripper.sim import Simulator
 
 RATE = 100
@@ -53,9 +55,10 @@ def figures(of: str, begin: float, states: list[tuple[float, float, float]]) -> 
     return Figures(of, len(states), within, max(periods) * 1000, error)
 
 
-def measure(start: Start, script: Path, seconds: float) -> Optional[tuple[Figures, Figures]]:  # noqa: F811
-    """Send set-points to a node and a stream, each with a gripper of its own. Return the figures of both, unless a pause of the
-    computer ended the stream.
+def measure(start: Start, script: Path, seconds: float) -> tuple[Figures, Figures]:  # noqa: F811
+    """Send set-points to a node and a stream, each with a gripper of its own, and return the figures of both.
+
+    Raises ``GripperError`` if a pause of the computer ends one.
     """
     simulators = [Simulator(script=script, homing_speed=400) for _ in range(2)]
     of_node: list[tuple[float, float, float]] = []
@@ -94,7 +97,7 @@ def measure(start: Start, script: Path, seconds: float) -> Optional[tuple[Figure
         following.join()
         program.terminate()
     if has_ended or min(len(of_node), len(of_stream)) < RATE * seconds / 2:
-        return None
+        raise StreamEndedError("the stream or the node has ended")
     return figures("node", begin, of_node), figures("stream", begin, of_stream)
 
 
@@ -103,12 +106,17 @@ def test_set_points_at_100_hz_are_followed_as_by_a_stream(
 ) -> None:
     script = tmp_path / "wsg_stream.lua"
     script.write_text(StreamingGripper.SCRIPT)
-    seconds = request.config.getoption("--set-points")
-    # Other programs of a busy computer may delay one of both.
+    option = request.config.getoption("--set-points")
+    seconds = option or 5
     for _ in range(max(3, round(BOUND / seconds))):
-        measured = measure(start, script, seconds)
+        try:
+            node, stream = measure(start, script, seconds)
+        except GripperError as error:
+            print(error)
+            continue
         with capsys.disabled():
-            print("", *measured or ["the stream has ended"], sep="\n")
-        if measured is not None and measured[0].is_as_good_as(measured[1]):
+            print("", node, stream, sep="\n")
+        # Fingers that do not follow have an error of 14 mm and more.
+        if node.is_as_good_as(stream) if option else node.error < 10:
             return
-    pytest.fail("each time worse than the stream")
+    pytest.fail("each time worse than expected")
