@@ -12,6 +12,7 @@ use boards::Board;
 use crate::{
     firmware::{self, IMAGE_VARIABLE, Image, Variant},
     platforms, process,
+    ros2::SECOND_CLIENT,
     setup::{self, ThumbToolchain},
     tool::{
         self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
@@ -104,7 +105,10 @@ pub(crate) fn release(workspace: &Workspace, parts: &[OsString]) -> Result<()> {
 /// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.
 pub(crate) fn dependencies(workspace: &Workspace) -> Result<()> {
     CARGO_DENY.require(workspace, "licences, bans and sources of the dependencies")?;
-    process::run(&mut tool::plain(workspace, "cargo deny --locked check licenses bans sources"))
+    ["", SECOND_CLIENT].iter().try_for_each(|folder| {
+        let mut deny = tool::plain(workspace, "cargo deny --locked check licenses bans sources --config");
+        process::run(deny.arg(workspace.root.join("deny.toml")).current_dir(workspace.root.join(folder)))
+    })
 }
 
 /// Measures the stopping time of the gripper on a disturbed line in virtual time, and returns the rows of the table. Fails if a case

@@ -147,6 +147,9 @@ enum Command {
         /// Wheel of bindings/python [default: build it]
         #[arg(long, value_name = "FILE")]
         wheel: Option<PathBuf>,
+        /// Arguments for pytest, such as --set-points=60
+        #[arg(last = true, value_name = "ARGS")]
+        arguments: Vec<OsString>,
     },
     /// Build the wheels for users by zig, and check their size; test the one for this machine
     Wheels,
@@ -245,9 +248,9 @@ fn run(command: Command) -> Result<ExitCode> {
             python::install(workspace, &environment)?;
             python::test(workspace, &environment)?;
         }
-        Command::Ros2 { distribution, wheel } => {
+        Command::Ros2 { distribution, wheel, arguments } => {
             let wheel = wheel.map_or_else(|| python::pack(workspace, &python(workspace)?), Ok)?;
-            ros2::test(workspace, &distribution, &wheel)?;
+            ros2::test(workspace, &distribution, &wheel, &arguments)?;
         }
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
         Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
@@ -271,7 +274,7 @@ fn release_checks(toolchain: &ThumbToolchain<'_>) -> Result<()> {
     test::run(toolchain, &[], Extent::Whole, true, None)?;
     // Not part of `test`, whose users need not download two distributions of ROS 2. Each takes two minutes.
     let wheel = python::pack(workspace, &python(workspace)?)?;
-    ros2::DISTRIBUTIONS.iter().try_for_each(|name| ros2::test(workspace, name, &wheel))?;
+    ros2::DISTRIBUTIONS.iter().try_for_each(|name| ros2::test(workspace, name, &wheel, &[]))?;
     commands::api(workspace, false)?;
     // By name: only a release of all parts, for upload, refuses the placeholder of the repository's address.
     let parts = ["firmware", "programs", "crates", "wheels", "c", "book"].map(Into::into);

@@ -30,6 +30,10 @@ from wsg_gripper.sim import Simulator
 
 faulthandler.dump_traceback_later(600, exit=True)
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--set-points", type=float, metavar="SECONDS", help="compare set-points for this time")
+
+
 BOUND = 60
 """Longest wait in s. The machine may pause a process."""
 
@@ -44,6 +48,10 @@ def wait_until(condition: Callable[[], Any], what: str = "condition") -> Any:
 
 def is_moving(simulator: Simulator) -> bool:
     return abs(simulator.observe().speed) > 1
+
+
+def stamp_of(message: JointState) -> float:
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
 
 
 class Client:
@@ -100,6 +108,10 @@ class Client:
 
     def lifecycle(self) -> str:
         return wait_for(self.request(GetState, "get_state", GetState.Request())).current_state.label
+
+    def wait_until_active(self) -> None:
+        """Wait for a position, and for the end of the activation that homes the gripper."""
+        wait_until(lambda: self.joint_states and self.lifecycle() == "active")
 
     def state(self) -> str:
         return self.states[-1] if self.states else ""

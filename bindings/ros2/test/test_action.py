@@ -112,7 +112,7 @@ def test_goals_outside_the_limits_are_refused(goals: Goals, simulator: Simulator
 def test_gripper_command_of_humble(monkeypatch: Any, grippers: Callable[..., Client], simulator: Simulator) -> None:
     monkeypatch.setattr("wsg_gripper_driver.node.Command", actions.GripperCommand)
     client = grippers(address=simulator.tcp, home_on_activate=True)
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     server = ActionClient(client.node, actions.GripperCommand, f"/{client.name}/gripper/gripper_cmd")
     assert server.wait_for_server(60)
     goal = actions.GripperCommand.Goal()
@@ -124,7 +124,7 @@ def test_gripper_command_of_humble(monkeypatch: Any, grippers: Callable[..., Cli
 
 def test_known_width_and_lost_connection(grippers: Callable[..., Client], simulator: Simulator) -> None:
     client = grippers(address=simulator.tcp, contact_grip=False, home_on_activate=True)
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     goals = Goals(client)
     assert goals.run([0.01], effort=[15.0])[1].stalled, "the width of the part"
     goals.run([0.05])

@@ -7,7 +7,7 @@ import time
 from typing import Any, Callable
 
 import pytest
-from conftest import Client, is_moving, wait_for, wait_until
+from conftest import Client, is_moving, stamp_of, wait_for, wait_until
 from wsg_gripper import Gripper, SystemFlags
 from wsg_gripper.sim import Simulator
 
@@ -42,7 +42,7 @@ def test_grip_cycle_with_joint_states_per_finger(gripper: Client, simulator: Sim
     assert simulator.observe().width == pytest.approx(110, abs=0.1)
     assert any(it.velocity[0] < -0.02 for it in gripper.joint_states), "closing"
     assert any(it.velocity[1] > 0.02 for it in gripper.joint_states), "opening"
-    stamps = [it.header.stamp.sec + it.header.stamp.nanosec * 1e-9 for it in gripper.joint_states]
+    stamps = [stamp_of(it) for it in gripper.joint_states]
     assert stamps == sorted(set(stamps)), "each measurement once"
     simulator.set_part(None)
     assert gripper.call("grip") == (False, "NoPart: NO_PART: the fingers met no part")
@@ -64,8 +64,26 @@ def test_start_moves_and_acknowledges_nothing(grippers: Callable[..., Client], s
     assert client.joint_states == [], "without a reference, positions have no meaning"
     client.ok("acknowledge")
     assert client.change("activate")
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     assert simulator.observe().width == pytest.approx(110, abs=0.1), "homed as the parameter requests"
+
+
+@pytest.mark.parametrize(
+    ("mode", "rate", "least", "most"), [("request", 100.0, 34, 60), ("request", 10.0, 8, 14), ("stream", 20.0, 17, 24)]
+)
+def test_joint_states_come_at_the_rate_that_a_real_gripper_allows(
+    grippers: Callable[..., Client], mode: str, rate: float, least: float, most: float
+) -> None:
+    with Simulator(profile="real", homing_speed=400) as simulator:
+        client = grippers(address=simulator.tcp, mode=mode, joint_state_rate=rate, home_on_activate=True)
+
+        def is_near() -> bool:
+            stamps = [stamp_of(it) for it in client.joint_states[-20:]]
+            per_second = len(stamps) > 19 and 19 / (stamps[-1] - stamps[0])
+            assert per_second < most, "each message has three new values"
+            return per_second > least
+
+        wait_until(is_near)
 
 
 @pytest.mark.parametrize("service", ["stop", "fast_stop"])
@@ -107,7 +125,7 @@ def test_killed_gripper_is_reported_and_found_again(grippers: Callable[..., Clie
     line = unused_address()
     simulator = Simulator(tcp=line, homing_speed=400)
     client = grippers(address=f"tcp://{line}", home_on_activate=True)
-    wait_until(lambda: client.joint_states)
+    client.wait_until_active()
     reported, returned = [], []
     for _ in range(3):
         begin = time.monotonic()
@@ -148,7 +166,7 @@ def test_two_grippers_in_one_process(grippers: Callable[..., Client], simulator:
         options = {"use_sim_time": True, "home_on_activate": True}
         both = [grippers(address=it.tcp, prefix=f"{it.tcp[-1]}_", **options) for it in (simulator, other)]
         for client in both:
-            wait_until(lambda: client.joint_states)
+            client.wait_until_active()
         assert [wait_for(it).message for it in [client.begin("grip") for client in both]] == ["HOLDING"] * 2
         for client, width in zip(both, (20, 50)):
             wait_until(lambda: abs(client.joint_states[-1].position[0] * 2000 - width) < 1)

@@ -1,6 +1,7 @@
 """The connection to a gripper. A thread connects, reads the state, and connects again after a loss.
 
-By itself, it sends queries of the state only. ``Requests.read`` and ``Stream.read`` are the only places that read the state.
+By itself, it requests only the state and its automatic updates. ``Requests.read`` and ``Stream.read`` are the only places that read
+the state.
 """
 
 from __future__ import annotations
@@ -8,15 +9,18 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import suppress
-from math import inf
+from math import inf, nan
 from typing import Callable, NamedTuple, Optional, Union
 
 from wsg_gripper import BusyError, Gripper, GripperError, Limits, NotConnectedError, StoppedError, StreamEndedError
 from wsg_gripper import StreamingGripper, SystemFlags, UnansweredError, UnsupportedError
 
-# Times in s. A query of a real gripper takes 24 ms, so flags and temperature are read less often than the width.
-STATE_PERIOD = 0.2
+# Shortest time in s between two updates of width, speed and force: a real gripper sends no more values.
+SHORTEST_INTERVAL = 0.024
+# Time in s between two queries of the temperature, which is not updated automatically.
 TEMPERATURE_PERIOD = 1.0
+# Checks for the next sample in each period of a stream.
+CHECKS = 10
 # Age from which the sample of a stream counts as a lost connection. The stream itself ends after 1 s.
 LATE = 0.7
 # Longest wait for a connection, more than the time-out of the driver.
@@ -41,13 +45,14 @@ class Reading(NamedTuple):
 class Requests:
     """A connection for single requests."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, rate: float) -> None:
         self.gripper = Gripper(address)
-        self._states_due = self._temperature_due = 0.0
+        self._temperature_due = 0.0
         try:
             info = self.gripper.info()
             self.device = f"{info.device} {info.serial_number}"
             self.limits = self._limits()
+            self._updates = self.gripper.subscribe(max(1 / rate, SHORTEST_INTERVAL))
             self.first = self.read()
         except BaseException:
             self.gripper.close()
@@ -61,16 +66,15 @@ class Requests:
             return Limits(inf, 0, inf, 0, inf, 0, inf, inf)
 
     def read(self) -> Reading:
-        """Query the state. Raises ``NotConnectedError``, ``UnansweredError`` or ``StoppedError``."""
-        gripper, now = self.gripper, time.monotonic()
-        if now >= self._states_due:
-            self._flags, self._state = gripper.flags(), gripper.state().name
-            self._states_due = now + STATE_PERIOD
-        if now >= self._temperature_due:
-            self._temperature = gripper.temperature()
-            self._temperature_due = now + TEMPERATURE_PERIOD
-        at, width = time.time(), gripper.width()
-        return Reading(at, width, gripper.speed(), gripper.force(), self._flags, self._state, self._temperature)
+        """Wait for new values. Raises ``NotConnectedError``, ``UnansweredError`` or ``StoppedError``.
+
+        The driver notices within 0.8 s that the gripper does not respond.
+        """
+        if time.monotonic() >= self._temperature_due:
+            self._temperature = self.gripper.temperature()
+            self._temperature_due = time.monotonic() + TEMPERATURE_PERIOD
+        at, width, speed, force, state, flags = next(self._updates)
+        return Reading(at, nan if width is None else width, speed, force, flags, state.name, self._temperature)
 
     def halt(self, fast: bool) -> None:
         """Stop the fingers, and wait for the confirmation."""
@@ -93,12 +97,17 @@ class Stream:
             self.gripper.stop()
             raise StreamEndedError(self.gripper.ended)
         self.limits = self.gripper.limits
+        self._number, self._period, self._due = -1, 1 / rate, time.monotonic()
 
     def read(self) -> Reading:
-        """Return the latest sample. Raises ``StreamEndedError``, or ``UnansweredError`` if it is late."""
-        sample = self.gripper.latest()
-        if time.time() - sample.received > LATE:
-            raise UnansweredError(f"no answer for {LATE} s")
+        """Wait for a new sample, at most one in each period. Raises ``StreamEndedError``, or ``UnansweredError`` if it is late."""
+        # A sample of the same rate may be early by half a period.
+        time.sleep(max(0, self._due - self._period / 2 - time.monotonic()))
+        while (sample := self.gripper.latest()).number == self._number:
+            if time.time() - sample.received > LATE:
+                raise UnansweredError(f"no answer for {LATE} s")
+            time.sleep(self._period / CHECKS)
+        self._number, self._due = sample.number, max(self._due, time.monotonic()) + self._period
         return Reading(sample.measured, *sample[3:7], "STREAMING", None)  # position, speed, force, flags
 
     def halt(self, fast: bool) -> None:
@@ -125,8 +134,8 @@ Source = Union[Requests, Stream]
 class Link:
     """A connection that is kept: ``Requests`` at first and after each loss, ``Stream`` on demand.
 
-    The callbacks run in the thread of the connection: ``on_open`` with each new connection, ``on_reading`` at the rate, and
-    ``on_lost`` with the cause, as soon as a connection is lost or an attempt fails.
+    The callbacks run in the thread of the connection: ``on_open`` with each new connection, ``on_reading`` with new
+    values, and ``on_lost`` with the cause, as soon as a connection is lost or an attempt fails.
     """
 
     def __init__(
@@ -138,11 +147,11 @@ class Link:
         on_reading: Callable[[Reading], None],
         on_lost: Callable[[Exception], None],
     ) -> None:
-        self._rate, self._reconnect_period = rate, reconnect_period
+        self._reconnect_period = reconnect_period
         self._on_open, self._on_reading, self._on_lost = on_open, on_reading, on_lost
         self._changed = threading.Condition()
         self._source: Optional[Source] = None
-        self._requests: Callable[[], Source] = lambda: Requests(address)
+        self._requests: Callable[[], Source] = lambda: Requests(address, rate)
         self._wanted = self._requests
         # The error of the last attempt, once it has an outcome.
         self._is_settled, self._error = False, None
@@ -265,20 +274,20 @@ class Link:
             self._source, self._error, self._is_settled, self._is_opening = source, error, True, is_opening
             self._changed.notify_all()
 
-    def _pause(self, wanted: object, seconds: float) -> bool:
-        """Wait. Return early and true at the end, and when another connection is wanted."""
+    def _is_over(self, wanted: object) -> bool:
+        return self._is_closing or self._wanted is not wanted
+
+    def _pause(self, wanted: object, seconds: float) -> None:
+        """Wait. Return early at the end, and when another connection is wanted."""
         with self._changed:
-            return self._changed.wait_for(lambda: self._is_closing or self._wanted is not wanted, seconds)
+            self._changed.wait_for(lambda: self._is_over(wanted), seconds)
 
     def _read(self, source: Source, wanted: object) -> None:
-        """Read the state at the rate, until another connection is wanted. Raises the error that ends the connection."""
-        due = time.monotonic()
+        """Read the state until another connection is wanted. Raises the error that ends the connection."""
         if not self._is_closing:
             self._on_open(source)
-        while not self._pause(wanted, due - time.monotonic()):
+        while not self._is_over(wanted):
             with suppress(StoppedError):  # A stop of this program ended the query, not the connection.
                 reading = source.read()
-                if self._is_closing or self._wanted is not wanted:
-                    return
-                self._on_reading(reading)
-            due = max(due + 1 / self._rate, time.monotonic())
+                if not self._is_over(wanted):
+                    self._on_reading(reading)

@@ -309,10 +309,10 @@ class WsgGripper(LifecycleNode):
         return message
 
     def _publish_reading(self, reading: Reading) -> None:
-        before, self._reading = self._reading, reading
+        self._reading = reading
         self._publish_state(reading.state)
-        # Without a reference, positions have no meaning. A stream may return the last sample again.
-        if SystemFlags.REFERENCED in reading.flags and (before is None or before.at != reading.at):
+        # Without a reference, positions have no meaning.
+        if SystemFlags.REFERENCED in reading.flags:
             self._joint_states.publish(self._joint_state(reading))
 
     def _publish_state(self, state: str) -> None:
@@ -496,11 +496,16 @@ class WsgGripper(LifecycleNode):
             else:
                 self._note(error, "aborted the goal: ")
                 handle.abort()
-        try:
-            reading = self._connected().source.read()
-        except GripperError:
-            reading = None
-        return self._filled(Command.Result(), reading, outcome)
+        return self._filled(Command.Result(), self._reading_since(time.time()), outcome)
+
+    def _reading_since(self, begin: float) -> Optional[Reading]:
+        """Wait for values that arrived after a time of ``time.time()``. Return ``None`` without a connection."""
+        end = time.monotonic() + LATE
+        while (reading := self._reading) is None or reading.at < begin:
+            if self._loss or time.monotonic() > end:
+                return None
+            time.sleep(POLL_PERIOD)
+        return reading
 
     def _filled(self, message: Any, reading: Optional[Reading], outcome: dict[str, bool]) -> Any:
         """Fill a result or a feedback with a state. Without one, it has no values, or NaN."""
