@@ -53,6 +53,7 @@ mod gate;
 mod gcl;
 #[cfg(feature = "std")]
 pub mod host;
+mod journal;
 mod link;
 // GCL follows the binary protocol, so that the documentation begins with the latter.
 #[macro_use]
