@@ -15,7 +15,7 @@ use crate::interpreter::{process, try_attach};
 const MAX_WAITING: usize = 256;
 
 /// The queue of this process, and those of its ancestors: a fork copies locked mutexes, and no threads.
-static QUEUES: [Queue; 16] = [const { Queue::NEW }; 16];
+static QUEUES: [Queue; 16] = [const { Queue::new() }; 16];
 
 struct Queue {
     state: Mutex<State>,
@@ -61,10 +61,10 @@ impl Log for Receiver {
 }
 
 impl Queue {
-    const NEW: Self = Self {
-        state: Mutex::new(State { waiting: VecDeque::new(), has_thread: false }),
-        added: Condvar::new(),
-    };
+    const fn new() -> Self {
+        let state = Mutex::new(State { waiting: VecDeque::new(), has_thread: false });
+        Self { state, added: Condvar::new() }
+    }
 
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
