@@ -19,6 +19,16 @@ setup(
     python_requires=">=3.10",
     zip_safe=True,
     description="ROS 2 driver for Weiss Robotics WSG servo grippers",
+    author="The wsg-bridge authors",
+    author_email="authors@repository.invalid",
+    project_urls={"Source Code": "https://repository.invalid/wsg-bridge"},
     license="MIT OR Apache-2.0",
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3 :: Only",
+        "Topic :: Scientific/Engineering",
+    ],
     entry_points={"console_scripts": [f"wsg_gripper = {NAME}.node:main"]},
 )

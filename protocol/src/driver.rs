@@ -36,6 +36,11 @@
 //! - **Orderly disconnect.** Dropping a gripper announces the end of its TCP connection, so that it does not enter FAST
 //!   STOP. `with_connection` runs a closure that may return early with `?`, and also waits for the confirmation.
 //!
+//! - **Records** (feature `log`): the crate `log` gets rare events under the target `wsg_protocol`, and nothing per request or
+//!   sample. Level info: connected, disconnect announced, stream ended by the program. Level warn: connection lost, FAST STOP
+//!   requested, an answer of a stream more than 100 ms late, stream ended otherwise. `set_log_name` names the gripper. No
+//!   record delays a stop: it is made after sending, and a stop handle waits for no logger of the driver's thread.
+//!
 //! There is no background task: the driver receives only while one of its methods is called. An idle program must call
 //! `next_update` several times a second, so that the transport's buffer does not overflow.
 
@@ -53,6 +58,7 @@ mod gate;
 mod gcl;
 #[cfg(feature = "std")]
 pub mod host;
+mod journal;
 mod link;
 // GCL follows the binary protocol, so that the documentation begins with the latter.
 #[macro_use]

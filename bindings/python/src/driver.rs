@@ -39,17 +39,18 @@ pub(crate) struct Driver {
 
 /// Connects a driver to a gripper at the other end of this wire.
 ///
-/// `limits` are those that the user states, because GCL has no query for them.
+/// `limits` are those that the user states, because GCL has no query for them. `name` is for its records.
 pub(crate) fn connect(
     wire: Box<dyn Wire>,
     clock: Clock,
     is_gcl: bool,
     limits: Option<SystemLimits>,
+    name: &str,
 ) -> Result<Driver, Failed> {
     let calls = Arc::new(Calls::default());
     let line = Line::new(wire, Arc::clone(&calls));
     let is_virtual = matches!(clock, Clock::Virtual(_));
-    let driver = if is_gcl {
+    let mut driver = if is_gcl {
         let mut gripper = GclGripper::new(line, clock);
         if let Some(limits) = limits {
             gripper.assume_limits(limits);
@@ -58,6 +59,7 @@ pub(crate) fn connect(
     } else {
         core::Driver::Binary(Box::new(Gripper::new(line, clock)))
     };
+    each!(&mut driver, gripper => gripper.set_log_name(name));
     let core = Core::connect(driver, calls)?;
     Ok(Driver { core, is_gcl, is_virtual, motions: Queue::default(), queries: Queue::default() })
 }
@@ -199,7 +201,7 @@ driver_methods! {
                 address.parse().map_err(|text: String| error::exception(py, "InvalidError", &text, None))?;
             detach(py, || {
                 let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
-                connect(wire, Clock::Real(Instant::now()), address.is_gcl(), address.limits())
+                connect(wire, Clock::Real(Instant::now()), address.is_gcl(), address.limits(), &address.to_string())
             })
             .map_err(|failed| match failed {
                 Failed::Driver(failure) => error::not_connected(py, &format!("{address}: {failure}")),

@@ -12,6 +12,7 @@ mod line;
 mod number;
 mod protocol;
 mod queue;
+mod records;
 mod sim;
 mod stream;
 mod updates;
@@ -40,6 +41,13 @@ mod _native {
 
     use super::*;
     use crate::interpreter::{self, detach};
+    use crate::records;
+
+    #[pymodule_init]
+    fn begin(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+        records::receive();
+        Ok(())
+    }
 
     /// Closes all open connections.
     #[pyfunction]
@@ -48,6 +56,7 @@ mod _native {
             interpreter::end();
             crate::core::close_all();
         });
+        records::pass_on(py);
     }
 
     /// Invalidates the connections of the parent in a forked child.

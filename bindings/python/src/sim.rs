@@ -109,7 +109,7 @@ impl Rig {
         let wire = VirtualWire(rig.clone(), Arc::clone(is_connected));
         rig.restore_line();
         let clock = Clock::Virtual(rig.clone());
-        detach(py, || driver::connect(Box::new(wire), clock, self.is_gcl, None))
+        detach(py, || driver::connect(Box::new(wire), clock, self.is_gcl, None, "virtual gripper"))
             .map_err(|failed| failed.into_exception(py))
     }
 

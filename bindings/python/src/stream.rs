@@ -102,6 +102,7 @@ impl Stream {
             let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
             let line = Line::new(wire, Arc::clone(&calls));
             let mut gripper = Gripper::<_, _>::with_config(line, Clock::Real(start), DRIVER);
+            gripper.set_log_name(&address.to_string());
             gripper.connect()?;
             let limits = gripper.limits()?;
             let flags = gripper.system_state()?;

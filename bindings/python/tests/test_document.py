@@ -1,4 +1,4 @@
-"""The programs of docs/python.md run."""
+"""The programs of docs/python.md and docs/lerobot.md run. The tests of the plugin have those for LeRobot."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "python.md"
+DOCUMENTS = Path(__file__).parents[3] / "docs"
 
 
 def blocks() -> list[str]:
-    return re.findall(r"^```python\n(.*?)^```", DOCUMENT.read_text(), re.MULTILINE | re.DOTALL)
+    text = "".join((DOCUMENTS / page).read_text() for page in ("python.md", "lerobot.md"))
+    return re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
 @pytest.mark.parametrize(

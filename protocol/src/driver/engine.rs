@@ -1,6 +1,7 @@
 //! The common part of both drivers: everything but the transport and the clock.
 
 use super::gate::Gate;
+use super::journal::Journal;
 use super::link::Protocol;
 use super::motion::{Motion, Verdict};
 use super::{Config, DriverCounters, Error, StopKind, StopRequest, UPDATES_LEN, Update};
@@ -113,6 +114,7 @@ impl<P: Protocol> DriverState<P> {
             outbox: Outbox::EMPTY,
             gate: Gate::OPEN,
             reports: Reports {
+                journal: Journal::NEW,
                 motion: Motion::none(),
                 updates: Deque::new(),
                 updates_lost: 0,
@@ -133,6 +135,15 @@ impl<P: Protocol> DriverState<P> {
 
     pub(super) const fn motion(&self) -> &Motion {
         &self.reports.motion
+    }
+
+    pub(super) const fn journal(&self) -> &Journal {
+        &self.reports.journal
+    }
+
+    #[cfg(feature = "log")]
+    pub(super) const fn journal_mut(&mut self) -> &mut Journal {
+        &mut self.reports.journal
     }
 
     pub(super) const fn config(&self) -> &Config {
@@ -206,7 +217,11 @@ impl<P: Protocol> DriverState<P> {
             Some(shared) => shared,
             None => {
                 let is_mid_message = !self.outbox.is_empty() && !self.outbox.is_untouched();
-                std::sync::Arc::new(super::stop::Shared::new::<P>(line()?, is_mid_message))
+                std::sync::Arc::new(super::stop::Shared::new::<P>(
+                    line()?,
+                    is_mid_message,
+                    self.journal().clone(),
+                ))
             }
         };
         Ok(self.gate.shared.insert(shared).handle())
@@ -375,6 +390,7 @@ impl<P: Protocol> DriverState<P> {
 /// What the gripper has reported.
 #[derive(Debug)]
 struct Reports {
+    journal: Journal,
     motion: Motion,
     updates: Deque<Update, UPDATES_LEN>,
     updates_lost: u16,
@@ -389,6 +405,7 @@ impl Reports {
     fn note(&mut self, now: Instant, awaited: &mut Awaited<'_>, event: &Event<'_>) {
         self.motion.note(event);
         awaited.note(event);
+        self.journal.note(event);
         match event {
             Event::Connected => self.reported_at = [self.began_at.unwrap_or(now); Topic::ALL.len()],
             Event::Disconnected => {

@@ -203,6 +203,13 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         engine.stop_handle(|| io.stop_line())
     }
 
+    /// Names this gripper in its records of the crate `log`, for example by its address. The name before is "gripper". Stop
+    /// handles use the name from the creation of the first one.
+    #[cfg(feature = "log")]
+    pub fn set_log_name(&mut self, name: &str) {
+        self.engine.journal_mut().set_name(name);
+    }
+
     /// Makes the gripper send a value on its own from now on, also after each reconnect (command set, 3.4).
     /// [`AutoUpdate::once`] ends the subscription. [`next_update`](Self::next_update) returns the values, and
     /// [`known`](Self::known) holds the latest of each.
@@ -931,7 +938,11 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         let mut awaited = Awaited::answer(command.id(), None, look);
         // The session repeats a FAST STOP for ever, so the wait of the caller needs its own end.
         let until = self.clock.now().plus(self.engine.config().confirmation_ms());
-        match self.drive(&mut awaited, Goal::Answered, Some(until)).await {
+        let driven = self.drive(&mut awaited, Goal::Answered, Some(until)).await;
+        if kind == StopKind::FastStop {
+            self.engine.journal().warn(format_args!("FAST STOP requested"));
+        }
+        match driven {
             // A handle requested the same kind, or a weaker one.
             Err(Error::Stopped(by_handle)) if by_handle <= kind => {
                 if self.engine.link().is_urgent() {

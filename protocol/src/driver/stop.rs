@@ -1,6 +1,7 @@
 //! Stop and FAST STOP from any thread (feature `std`). See [`gate`](super::gate) for the guarantees between handle and
 //! driver.
 
+use super::journal::Journal;
 use super::link::Protocol;
 use super::{MAX_STOP_LEN, StopKind, StopRequest};
 #[cfg(feature = "embedded-io-async")]
@@ -115,6 +116,7 @@ pub trait Stoppable {
 #[derive(Debug)]
 pub(super) struct Shared {
     line: StopLine,
+    journal: Journal,
     /// The Stop and FAST STOP messages in the driver's protocol.
     messages: [([u8; MAX_STOP_LEN], usize); 2],
     state: Mutex<State>,
@@ -133,7 +135,7 @@ struct State {
 
 impl Shared {
     /// Creates the shared state for a driver of this protocol.
-    pub(super) fn new<P: Protocol>(line: StopLine, is_mid_message: bool) -> Self {
+    pub(super) fn new<P: Protocol>(line: StopLine, is_mid_message: bool, journal: Journal) -> Self {
         let messages = [StopKind::Stop, StopKind::FastStop].map(|kind| {
             let mut message = [0; MAX_STOP_LEN];
             let len = P::stop_message(kind, &mut message);
@@ -141,6 +143,7 @@ impl Shared {
         });
         Self {
             line,
+            journal,
             messages,
             state: Mutex::new(State { is_mid_message, request: None, count: 0, task: None }),
         }
@@ -177,6 +180,9 @@ impl Shared {
             task.wake();
         }
         (self.line.wake)();
+        if kind == StopKind::FastStop {
+            self.journal.warn(format_args!("FAST STOP requested"));
+        }
         sent
     }
 
@@ -261,7 +267,7 @@ mod tests {
             }
             result
         };
-        let shared = Shared::new::<Binary>(StopLine::new(write, || {}), false);
+        let shared = Shared::new::<Binary>(StopLine::new(write, || {}), false, Journal::NEW);
         let stopped = shared.send(StopKind::Stop, rest_timeout);
         let bytes = state.lock().unwrap().1.clone();
         (stopped.map_err(|error| error.kind()), bytes)

@@ -2,6 +2,8 @@
 
 mod cancelled;
 mod framing;
+#[cfg(feature = "log")]
+pub(super) mod recorded;
 pub(super) mod rig;
 #[cfg(feature = "std")]
 mod stopped;

@@ -9,6 +9,7 @@
 """
 
 import atexit as _atexit
+import logging as _logging
 import os as _os
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
@@ -85,6 +86,7 @@ __all__ = [
     "UnsupportedError",
 ]
 
+_logging.getLogger(__name__).addHandler(_logging.NullHandler())
 _atexit.register(_native.close_all)
 if hasattr(_os, "register_at_fork"):  # not on Windows
     _os.register_at_fork(after_in_child=_native.count_fork)

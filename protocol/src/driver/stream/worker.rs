@@ -415,6 +415,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let length_ms = received.since(expected);
         if length_ms > GAP_MS {
             keep(&mut lock(&self.shared).gaps, Gap { begun_at: expected, length_ms }, GAPS_LEN);
+            self.gripper.engine.journal().warn(format_args!("the answer was {length_ms} ms late"));
         }
         self.resume(length_ms, received, here, Cause::Unanswered)
     }
@@ -532,6 +533,12 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let mut shared = lock(&self.shared);
         shared.cause = Some(cause);
         shared.end = Some(End { cause, is_stop_confirmed });
+        drop(shared);
+        let journal = self.gripper.engine.journal();
+        match cause {
+            Cause::Requested => journal.info(format_args!("stream ended: {cause}")),
+            _ => journal.warn(format_args!("stream ended: {cause}")),
+        }
         cause
     }
 }
@@ -615,6 +622,8 @@ mod tests {
     use super::*;
     use crate::driver::tests::rig::{Rig, Watch, frame, payload, status};
     use crate::{Command, CommandId, HomingDirection, PrePositionFlags, Reply, Value};
+    #[cfg(feature = "log")]
+    use std::format;
     use std::vec;
     use std::vec::Vec;
 
@@ -927,6 +936,24 @@ mod tests {
                 assert_eq!(gaps(&worker).len(), expected.len());
             }
         }
+    }
+
+    #[cfg(feature = "log")]
+    #[test]
+    fn gap_and_end_are_recorded_and_samples_are_not() {
+        use crate::driver::tests::recorded;
+
+        recorded::begin();
+        let (rig, mut worker) = worker(Backend::Script);
+        worker.gripper.set_log_name("streaming");
+        for late_ms in [1, 240] {
+            begin_period(&rig, &mut worker);
+            answer_after(&rig, late_ms, STREAM_ID, SystemFlags::empty());
+            worker.turn().unwrap();
+        }
+        worker.finish(Cause::Watchdog);
+        let ended = format!("WARN stream ended: {}", Cause::Watchdog);
+        assert_eq!(recorded::of("streaming"), ["WARN the answer was 240 ms late", &ended]);
     }
 
     #[test]
