@@ -1,5 +1,6 @@
 //! The emulated image and a virtual gripper with a faulty line between them: `cargo xtask soak`.
 
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -35,6 +36,9 @@ const WIDE: u8 = 1;
 
 /// Time limit of every wait. A lost link recovers in seconds, but may fail repeatedly on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Number of entries of the recording that a failure lists from the begin and from the end.
+const LISTED: usize = 24;
 
 /// Results that the PLC has read.
 #[derive(Debug, Default)]
@@ -97,7 +101,9 @@ fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Tally, [Counts; 2], u6
             (false, 0) => MOVE,
             (false, _) => GRIP,
         };
-        command(&rig, job, &mut tally).with_context(|| format!("command {number}, {:?}", job.0))?;
+        let sent = rig.trace().mark();
+        command(&rig, job, &mut tally)
+            .with_context(|| format!("command {number}, {:?}; {}", job.0, found(&rig, sent)))?;
         rest = settle(&rig).with_context(|| format!("after command {number}, {:?}", job.0))?;
     }
     let ways = rig.gripper().disturb(None).context("the disturbance is still installed")?;
@@ -144,6 +150,22 @@ fn command(rig: &Rig, (wire, _, is_done): Job, tally: &mut Tally) -> Result<()> 
     }
     tally.done += 1;
     Ok(())
+}
+
+/// Describes the rig after a failure: whether the board runs, the gripper, and the recording from `mark` on.
+fn found(rig: &Rig, mark: usize) -> String {
+    let [before, after] = [(), ()].map(|()| {
+        thread::sleep(Duration::from_secs(1));
+        rig.board().now_ms()
+    });
+    let entries = rig.trace().since(mark);
+    let (first, last) = (entries.iter().take(LISTED), entries.iter().rev().take(LISTED));
+    let (first, last): (Vec<_>, Vec<_>) = (first.collect(), last.rev().collect());
+    format!(
+        "board's clock {before:?}, a second later {after:?}; {:?}; {} entries: {first:?} ... {last:?}",
+        rig.gripper().state(),
+        entries.len()
+    )
 }
 
 /// Waits for standstill and returns the width.
