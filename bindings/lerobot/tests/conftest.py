@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import faulthandler
-import re
 import sys
 import types
+from pathlib import Path
 
-import pytest
-from _pytest.runner import runtestprotocol
+sys.path.append(str(Path(__file__).parents[2] / "python/tests"))
+from pauses import pytest_runtest_protocol  # noqa: E402, F401
 
 faulthandler.dump_traceback_later(600, exit=True)
 
@@ -20,18 +20,3 @@ if sys.version_info < (3, 12):
     motors = types.ModuleType("lerobot.motors")
     setattr(motors, "MotorCalibration", object)
     sys.modules["lerobot.motors"] = motors
-
-PAUSE = re.compile("for more than 1 s|no answer")
-"""What a stream or a request reports if the computer pauses for longer than they tolerate."""
-
-
-def pytest_runtest_protocol(item: pytest.Function, nextitem: pytest.Item | None) -> bool:
-    """Repeat a test in which the computer paused, with new fixtures."""
-    for _ in range(8):
-        reports = runtestprotocol(item, nextitem=nextitem, log=False)
-        if not any(report.failed and PAUSE.search(report.longreprtext) for report in reports):
-            break
-        item._initrequest()
-    for report in reports:
-        item.ihook.pytest_runtest_logreport(report=report)
-    return True

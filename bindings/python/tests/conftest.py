@@ -7,6 +7,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
+from pauses import pytest_runtest_protocol  # noqa: F401
 
 from wsg_gripper import Gripper
 from wsg_gripper.sim import Simulator, VirtualGripper
