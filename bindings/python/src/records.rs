@@ -14,7 +14,7 @@ use crate::interpreter::{process, try_attach};
 /// Maximum number of waiting records. Later ones are dropped.
 const MAX_WAITING: usize = 256;
 
-/// The queue of this process, and those of its ancestors: a fork copies locked mutexes, and no threads.
+/// The queues of this process and of its ancestors: a fork copies locked mutexes, and no threads.
 static QUEUES: [Queue; 16] = [const { Queue::new() }; 16];
 
 struct Queue {
