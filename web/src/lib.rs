@@ -1,7 +1,9 @@
 //! The virtual gripper and the whole station for a web page.
 //!
 //! The boundary to JavaScript consists of three functions over bytes: [`wsg_reserve`] returns where the page writes a
-//! request, [`wsg_call`] answers it, and [`wsg_answer`] returns where the page reads. Requests and answers are JSON in UTF-8.
+//! request, [`wsg_station`] answers it, and [`wsg_answer`] returns where the page reads. Requests and answers are JSON in UTF-8.
+
+pub mod station;
 
 use std::cell::RefCell;
 
@@ -20,11 +22,16 @@ pub extern "C" fn wsg_reserve(len: usize) -> *mut u8 {
     })
 }
 
-/// Answers the request in the buffer, and returns the length of the answer.
+/// Answers the request to the station in the buffer, and returns the length of the answer.
 #[unsafe(no_mangle)]
-pub extern "C" fn wsg_call() -> usize {
+pub extern "C" fn wsg_station() -> usize {
+    answer(|request| station::call(std::str::from_utf8(request).unwrap_or_default()).into_bytes())
+}
+
+/// Replaces the request in the buffer by its answer, and returns the length of the answer.
+fn answer(call: impl FnOnce(&[u8]) -> Vec<u8>) -> usize {
     BUFFER.with_borrow_mut(|buffer| {
-        *buffer = b"{}".to_vec();
+        *buffer = call(buffer);
         buffer.len()
     })
 }
