@@ -193,10 +193,16 @@ impl Station {
         self.next_turn_us
     }
 
-    /// Returns the latest frames.
+    /// Returns the settings of the bridge.
     #[must_use]
-    pub const fn frames(&self) -> &VecDeque<SentFrame> {
-        &self.frames
+    pub const fn settings(&self) -> &Record {
+        &self.settings
+    }
+
+    /// Returns the state of the gripper.
+    #[must_use]
+    pub fn gripper(&self) -> wsg_sim::State {
+        self.gripper.state()
     }
 
     /// Runs all turns up to this time in microseconds.
@@ -253,9 +259,7 @@ impl Station {
         self.gripper.advance(self.time());
         self.serve_masters();
         let Self { bridge, sides: [plc, port], to_gripper, received, read, written, .. } = self;
-        read.clear();
-        written.clear();
-        let mut line = BridgeEnd { now_ns, way: to_gripper, received, read, written };
+        let mut line = BridgeEnd::new(now_ns, to_gripper, received, [read, written]);
         let now_ms = (now_us / 1_000) as u32;
         self.outputs = bridge.poll(now_ms, self.inputs, &mut line, &mut plc.over(&mut self.bus));
         bridge.serve(now_ms, &mut port.over(&mut self.service));

@@ -12,6 +12,9 @@ use wsg_protocol::{Direction, Event, FrameEncoder, FrameParser, Meaning};
 /// Time of a byte with start and stop bit, in nanoseconds.
 const BYTE_NS: u64 = 10 * 1_000_000_000 / BAUD as u64;
 
+/// Number of bytes that the line carries between two turns of the bridge.
+const BYTES_PER_TURN: usize = 12;
+
 /// Bits that the injected fault flips in a byte.
 const FLIPPED: u8 = 0x10;
 
@@ -126,13 +129,29 @@ pub(super) fn hex(bytes: &[u8]) -> String {
 
 /// The bridge's end of the line during a turn.
 pub(super) struct BridgeEnd<'a> {
-    pub(super) now_ns: u64,
-    pub(super) way: &'a mut Way,
+    now_ns: u64,
+    way: &'a mut Way,
+    /// Number of bytes that the send queue still takes in this turn. It takes more once the line would become idle.
+    room: usize,
     /// Received bytes that the bridge has not read.
-    pub(super) received: &'a mut VecDeque<u8>,
+    received: &'a mut VecDeque<u8>,
     /// Bytes that the bridge has read and written in this turn.
-    pub(super) read: &'a mut Vec<u8>,
-    pub(super) written: &'a mut Vec<u8>,
+    read: &'a mut Vec<u8>,
+    written: &'a mut Vec<u8>,
+}
+
+impl<'a> BridgeEnd<'a> {
+    pub(super) fn new(
+        now_ns: u64,
+        way: &'a mut Way,
+        received: &'a mut VecDeque<u8>,
+        [read, written]: [&'a mut Vec<u8>; 2],
+    ) -> Self {
+        read.clear();
+        written.clear();
+        let room = if way.bytes.len() < BYTES_PER_TURN { TO_SEND_MAX } else { 0 };
+        Self { now_ns, way, room, received, read, written }
+    }
 }
 
 impl ErrorType for BridgeEnd<'_> {
@@ -158,13 +177,14 @@ impl Read for BridgeEnd<'_> {
 
 impl WriteReady for BridgeEnd<'_> {
     fn write_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(self.way.bytes.len() < TO_SEND_MAX)
+        Ok(self.room > 0)
     }
 }
 
 impl Write for BridgeEnd<'_> {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let count = bytes.len().min(TO_SEND_MAX - self.way.bytes.len());
+        let count = bytes.len().min(self.room);
+        self.room -= count;
         let (taken, _) = bytes.split_at(count);
         self.way.send(self.now_ns, taken);
         self.written.extend_from_slice(taken);
