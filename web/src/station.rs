@@ -373,8 +373,8 @@ impl Station {
         }
     }
 
-    /// Returns the state for a page, with the frames from this number on.
-    fn view(&self, first_frame: u32) -> String {
+    /// Returns the state for a page, with the frames from this number on, and perhaps with the link.
+    fn view(&self, first_frame: u32, has_link: bool) -> String {
         let state = self.gripper.state();
         let input = self
             .input
@@ -400,7 +400,7 @@ impl Station {
             "has_part": state.part_is_between,
             "frames": self.frames.iter().filter(|frame| frame.number >= first_frame).collect::<Vec<_>>(),
             "frame_count": self.frame_count,
-            "link": self.session().link(),
+            "link": has_link.then(|| self.session().link()).flatten(),
         }
     }
 }
@@ -441,6 +441,8 @@ struct Body {
     actions: Vec<String>,
     step_us: u64,
     first_frame: u32,
+    /// Returns the link, too.
+    share: bool,
 }
 
 thread_local! {
@@ -468,7 +470,7 @@ fn answer(Request { station: body }: Request) -> Result<String, String> {
             station.act(Action::parse(action).ok_or_else(|| format!("unknown action `{action}`"))?);
         }
         station.run(station.now_us + body.step_us.min(LONGEST_STEP_US));
-        Ok(station.view(body.first_frame))
+        Ok(station.view(body.first_frame, body.share))
     })
 }
 

@@ -75,7 +75,7 @@ fn session_is_reproduced_by_its_link_and_by_other_steps() {
         let session = sessions::session(number);
         let link = session.link().unwrap();
         assert_eq!(Session::parse(&link).as_ref(), Some(&session), "{link}");
-        let replayed = ask(&json!({ "link": link, "first_frame": 0 }));
+        let replayed = ask(&json!({ "link": link, "first_frame": 0, "share": true }));
         ask(&json!({ "link": "" }));
         let mut now_us = 0;
         for (at_us, action) in &session.actions {
@@ -86,7 +86,7 @@ fn session_is_reproduced_by_its_link_and_by_other_steps() {
             }
             ask(&json!({ "actions": [action.to_string()], "first_frame": u32::MAX }));
         }
-        let stepped = ask(&json!({ "step_us": session.end_us - now_us, "first_frame": 0 }));
+        let stepped = ask(&json!({ "step_us": session.end_us - now_us, "first_frame": 0, "share": true }));
         assert_eq!(stepped, replayed, "session {number}: {link}");
         assert_eq!(stepped["link"], link);
     }
