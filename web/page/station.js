@@ -27,7 +27,7 @@ function start() {
   worker.onerror = () => say("The page does not start. Open it from a web server, not as a file.", true);
   const ask = body => new Promise(done => { answers.push(done); worker.postMessage(JSON.stringify({ station: body })); });
 
-  const MAX_KEPT = 400, MAX_ROWS = 100, FRAME_MS = 66, LONGEST_MS = 250, PULSE_US = 100000, ERROR_CAUSE = 133, CONTROL_SOURCE = 108, FIRST_EVENT = 139, FIRST_REPORT = 100;
+  const MAX_KEPT = 400, MAX_ROWS = 100, REST_MS = 150, LIVELY_MS = 1000, LONGEST_MS = 250, PULSE_US = 100000, ERROR_CAUSE = 133, CONTROL_SOURCE = 108, FIRST_EVENT = 139, FIRST_REPORT = 100;
   const EDGES = ["GRIP", "RELEASE", "MOVE", "HOME", "STOP_ACK"];
   let hello, view, kept = [], running = false, actions = [], nextFrame = 0, before = null, pulses = [], waiting = 0, turns = Promise.resolve(), wires = 0, image = [0, 2000, 5000, 4000];
 
@@ -46,8 +46,19 @@ function start() {
   const report = register => view.reports[register - FIRST_REPORT];
   const hex = words => words.map(word => word.toString(16)).join(".");
 
-  // Time: a step per frame of the browser while the station moves, fewer while it rests, none in a hidden tab.
-  function act(...more) { actions.push(...more); if (!running) advance(0); }
+  // Time: a step per frame of the browser while the fingers move, fewer while they rest, none in a hidden tab.
+  function act(action) {
+    actions.push(action);
+    actedAt = performance.now();
+    if (running) schedule(0); else advance(0);
+  }
+  let timer = 0, frame = 0, actedAt = 0;
+  function schedule(wait_ms) {
+    clearTimeout(timer);
+    cancelAnimationFrame(frame);
+    const next = () => { frame = requestAnimationFrame(beat); };
+    if (wait_ms) timer = setTimeout(next, wait_ms); else next();
+  }
   function advance(step_us, more) {
     waiting += 1;
     return turns = turns.then(() => take(step_us, more)).catch(error => say(error, true)).finally(() => { waiting -= 1; });
@@ -61,16 +72,14 @@ function start() {
     return true;
   }
   function beat(now) {
-    before ??= now;
-    const elapsed = Math.min(now - before, LONGEST_MS);
-    const rests = view && !actions.length && !pulses.length && !view.flags.includes("MOVING");
-    if (running && !waiting && (!rests || elapsed >= FRAME_MS)) {
+    const rests = now - actedAt > LIVELY_MS && !view.flags.includes("MOVING");
+    if (running && !waiting) {
+      advance(Math.round(Math.min(now - (before ?? now), LONGEST_MS) * 1000 * Number($("speed").value)));
       before = now;
-      advance(Math.round(elapsed * 1000 * Number($("speed").value)));
-    } else if (!running) before = now;
-    requestAnimationFrame(beat);
+    }
+    if (running) schedule(rests ? REST_MS : 0);
   }
-  function setRunning(value) { running = value; before = null; write($("run"), running ? "Pause" : "Run"); $("single").disabled = running; }
+  function setRunning(value) { running = value; before = null; if (running) schedule(0); write($("run"), running ? "Pause" : "Run"); $("single").disabled = running; }
   async function load(link) {
     if (link) say("Replaying the session of the link.");
     setRunning(false);
@@ -115,6 +124,7 @@ function start() {
       const field = node(node(place, "div", { class: "value" }), "input", { type: "number", id: "s" + register, min: least, max: most, required: "", "aria-describedby": "d" + register });
       node(place, "p", { class: "name", id: "d" + register }, meaning);
       field.addEventListener("change", () => { if (field.reportValidity()) act("s" + hex([register, field.valueAsNumber])); });
+      field.addEventListener("blur", () => { shownTables = ""; });
     }
     $("parameters").addEventListener("change", sendImage);
     $("fast_stop").addEventListener("click", fastStop);
@@ -180,6 +190,14 @@ function start() {
     if (atEnd) list.scrollTop = list.scrollHeight;
   }
   function filter() { $("frames").replaceChildren(); addRows(kept.filter(isShown).slice(-MAX_ROWS)); $("lines").scrollTop = $("lines").scrollHeight; }
+  // Tables that seldom change.
+  let shownTables = "";
+  function showSettings() {
+    for (const [register] of hello.settings) {
+      const field = $("s" + register), value = String(view.settings[register - FIRST_REPORT]);
+      if (document.activeElement !== field && field.value !== value) field.value = value;
+    }
+  }
   function showEvents() {
     const found = [];
     for (let at = FIRST_EVENT; report(at); at += 4) {
@@ -199,7 +217,7 @@ function start() {
     document.body.classList.toggle("fast-stopped", isFastStopped);
     document.body.classList.toggle("failed", view.state === "ERROR");
     write($("state"), (isFastStopped ? "FAST STOP, " : "") + view.state);
-    write($("time"), (view.now_us / 1e6).toFixed(running ? 1 : 3) + " s");
+    write($("time"), (view.now_us / 1e6).toFixed(3) + " s");
     draw();
     hello.inputs.forEach((name, bit) => mark($(name), "aria-checked", Boolean(view.inputs >> bit & 1)));
     hello.command_flags.forEach((name, bit) => mark($("flag_" + name), "aria-pressed", Boolean(view.image[0] >> 8 + bit & 1)));
@@ -221,13 +239,11 @@ function start() {
     const cause = hello.events.find(event => event[0] === report(ERROR_CAUSE));
     write($("cause"), output("ERROR") && cause ? `ERROR: ${cause[2]}` : "");
     write($("recipe"), `Recipe ${number}: ${w} mm, ${s} mm/s, ${f} N; RELEASE to ${r} mm`);
-    for (const [register] of hello.settings) {
-      const field = $("s" + register), value = String(view.settings[register - FIRST_REPORT]);
-      if (document.activeElement !== field && field.value !== value) field.value = value;
-    }
     if (view.refused) say(`The bridge refused setting ${view.refused[0]} with exception ${view.refused[1]}.`, true);
     showFrames();
-    showEvents();
+    const tables = String([view.settings, view.reports.slice(FIRST_EVENT - FIRST_REPORT)]);
+    if (tables !== shownTables) { showSettings(); showEvents(); }
+    shownTables = tables;
     tour();
   }
 
@@ -259,6 +275,6 @@ function start() {
     if (answer.error) return say(answer.error, true);
     hello = answer;
     make();
-    load(location.hash.slice(1)).then(() => requestAnimationFrame(beat));
+    load(location.hash.slice(1));
   });
 }

@@ -345,7 +345,7 @@ impl Station {
             };
         }
         if now_us >= self.bus_cycle_us && self.is_master_on && !self.bus.is_busy() {
-            let is_write = self.bus_cycle_us / BUS_CYCLE_US % 2 == 0;
+            let is_write = (self.bus_cycle_us / BUS_CYCLE_US).is_multiple_of(2);
             self.bus_cycle_us = (now_us / BUS_CYCLE_US + 1) * BUS_CYCLE_US;
             self.bus.send(if is_write { write(0, &self.image) } else { read(0, 6) });
         } else if !self.is_master_on {

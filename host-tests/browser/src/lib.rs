@@ -119,7 +119,7 @@ pub const PROBLEMS: &str = r#"(() => {
     if (root.scrollWidth > root.clientWidth) problems.push("the page is wider than the window");
     const name = element => element.tagName + " " + (element.id || element.textContent.trim().slice(0, 40));
     const shown = [...document.querySelectorAll("header, section, h1, h2, p, li, dt, dd, th, td, button, input, select, summary, a, label, svg, text, ol, span")]
-        .filter(element => element.checkVisibility() && !element.closest(".hidden, datalist") && !element.closest("ol[tabindex]")?.contains(element.parentElement))
+        .filter(element => element.checkVisibility() && !element.closest(".hidden, datalist") && !element.closest("ol[tabindex], [role=region]")?.contains(element.parentElement))
         .map(element => ({ element, box: element.getBoundingClientRect() }))
         .filter(({ box }) => box.width > 0 && box.height > 0);
     for (const { element, box } of shown) {
