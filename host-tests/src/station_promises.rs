@@ -43,7 +43,7 @@ struct Judge {
 /// Panics when a promise is broken.
 #[must_use]
 pub fn judge(session: &Session) -> Seen {
-    let mut station = Station::new();
+    let mut station = Station::default();
     let mut judge = Judge::new(0, Reach::new(true));
     for &(at_us, action) in session.actions.iter().chain([&(session.end_us, Action::Part(0))]) {
         while station.next_turn_us() <= at_us {

@@ -148,7 +148,12 @@ function start() {
     const { link } = await ask({ share: true, first_frame: nextFrame });
     if (!link) return say("This session is too long for a link: at most 400 inputs and 20 minutes. Start over to record another one.", true);
     history.replaceState(null, "", "#" + link);
-    await navigator.clipboard?.writeText(location.href).then(() => say("The link is copied."), () => say("The address of this page is the link."));
+    try {
+      await navigator.clipboard.writeText(location.href);
+      say("The link is copied.");
+    } catch {
+      say("The address of this page is the link.");
+    }
   }
 
   // The state.
@@ -191,7 +196,7 @@ function start() {
   }
   function filter() { $("frames").replaceChildren(); addRows(kept.filter(isShown).slice(-MAX_ROWS)); $("lines").scrollTop = $("lines").scrollHeight; }
   // Tables that seldom change.
-  let shownTables = "";
+  let shownTables = "", shownRefusal = "null";
   function showSettings() {
     for (const [register] of hello.settings) {
       const field = $("s" + register), value = String(view.settings[register - FIRST_REPORT]);
@@ -239,7 +244,8 @@ function start() {
     const cause = hello.events.find(event => event[0] === report(ERROR_CAUSE));
     write($("cause"), output("ERROR") && cause ? `ERROR: ${cause[2]}` : "");
     write($("recipe"), `Recipe ${number}: ${w} mm, ${s} mm/s, ${f} N; RELEASE to ${r} mm`);
-    if (view.refused) say(`The bridge refused setting ${view.refused[0]} with exception ${view.refused[1]}.`, true);
+    if (String(view.refused) !== shownRefusal) say(view.refused ? `The bridge refused setting ${view.refused[0]} with exception ${view.refused[1]}.` : "", true);
+    shownRefusal = String(view.refused);
     showFrames();
     const tables = String([view.settings, view.reports.slice(FIRST_EVENT - FIRST_REPORT)]);
     if (tables !== shownTables) { showSettings(); showEvents(); }

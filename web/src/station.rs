@@ -125,15 +125,8 @@ pub struct Turn<'a> {
 }
 
 impl Default for Station {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl Station {
     /// Powers up a station: all wires low, a bus master that writes zeros, a WSG 50-110 and a part of 20 mm.
-    #[must_use]
-    pub fn new() -> Self {
+    fn default() -> Self {
         let settings = Config::DEFAULT.record();
         let (gripper, port) = power_up(FIRST_PART);
         let (bridge, sides) = boot(&settings, ResetCause::PowerOn);
@@ -168,11 +161,13 @@ impl Station {
             frame_count: 0,
         }
     }
+}
 
+impl Station {
     /// Plays a session.
     #[must_use]
     pub fn replay(session: &Session) -> Self {
-        let mut station = Self::new();
+        let mut station = Self::default();
         for &(at_us, action) in &session.actions {
             station.run(at_us);
             station.act(action);
@@ -446,7 +441,7 @@ struct Body {
 }
 
 thread_local! {
-    static STATION: RefCell<Station> = RefCell::new(Station::new());
+    static STATION: RefCell<Station> = RefCell::default();
 }
 
 /// Answers a request of a page, both in JSON.

@@ -94,7 +94,7 @@ fn session_is_reproduced_by_its_link_and_by_other_steps() {
 
 #[test]
 fn long_session_has_no_link_and_a_damaged_link_is_refused() {
-    let mut station = Station::new();
+    let mut station = Station::default();
     for _ in 0..MAX_ACTIONS {
         station.act(Action::Part(0));
     }

@@ -37,7 +37,7 @@ pub(crate) fn session(number: u64) -> Session {
         session.end_us += after_us;
         session.actions.push((session.end_us, action));
     };
-    if number % 4 > 0 {
+    if !number.is_multiple_of(4) {
         // Most sessions begin with referenced fingers.
         for (after_us, levels) in [
             (300_000, FAST_STOP_OK),
