@@ -371,7 +371,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
 
     /// Sets the force limit and executes a command of an operator. A refused command leaves the force limit as it was, and
     /// so does a force that the gripper would have to correct.
-    #[cfg(feature = "std")]
+    #[cfg(feature = "control")]
     pub(crate) fn command_with_force(&mut self, force: f32, command: &Command<'_>, now: Time) -> Status {
         let settings = self.device.motion().settings();
         let before = settings.force_limit();

@@ -19,6 +19,7 @@
 //! | `script` | commands claimed by scripts on the gripper |
 //! | `client`, `protocol_client` | the contract of a client of any protocol, and the clients by protocol |
 //! | `gripper` | the contract with the caller |
+//! | `control` | the control interface without I/O, and a gripper for a page without a server (feature `control`) |
 //! | `server` | servers on TCP, UDP, serial lines and CAN (feature `std`) |
 //! | `program` | the program `wsg-sim` and its options (feature `std`) |
 //! | `text`, `command_line`, `options_file` | text from outside, and what the command lines of all host programs share (feature `std`) |
@@ -28,7 +29,7 @@
 //!
 //! The model is simplified: the fingers stop instantly on Stop, FAST STOP and contact, a part is an ideal spring, and
 //! the force is exact. `docs/models.md` records the decisions made where the manual is silent.
-#![cfg_attr(not(any(feature = "std", feature = "rig")), no_std)]
+#![cfg_attr(not(any(feature = "control", feature = "rig")), no_std)]
 #![forbid(unsafe_code)]
 
 mod axis;
@@ -37,6 +38,8 @@ mod client;
 #[cfg(feature = "std")]
 pub mod command_line;
 mod config;
+#[cfg(feature = "control")]
+pub mod control;
 mod deframer;
 mod device;
 mod faults;
@@ -62,7 +65,7 @@ mod send_queue;
 #[cfg(feature = "std")]
 pub mod server;
 mod settings;
-#[cfg(feature = "std")]
+#[cfg(feature = "control")]
 pub mod text;
 mod thermal;
 mod time;
