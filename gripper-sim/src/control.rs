@@ -57,8 +57,8 @@ use bench::{FRAME_EXPECTED, FrameBody};
 use commands::COMMAND_EXPECTED;
 use faulty_line::LineFaults;
 use injected::{FAULT_EXPECTED, FaultBody, LINE_EXPECTED, PART_EXPECTED, line_faults, part, which_fault};
+use publisher::object;
 use serde::Deserialize;
-use serde_json::json;
 use settings::{SETTINGS_EXPECTED, SettingsBody, change, settings};
 pub(crate) use state::state;
 
@@ -151,7 +151,7 @@ impl Action {
         }
     }
 
-    /// Executes the action. The answer is the state, unless something else is asked for.
+    /// Executes the action. The answer is the state, unless the request names something else.
     pub(crate) fn execute(self, host: &mut impl Host) -> Result<Answer, HttpError> {
         match self {
             Self::Settings => return Answer::json(&settings(host)?),
@@ -169,13 +169,13 @@ impl Action {
             match self {
                 Self::Log => {
                     let entries = bench.system_log().entries_from(0);
-                    return Answer::json(&json!({ "entries": entries }));
+                    return Ok(Answer::of_json(object("entries", &entries)));
                 }
                 Self::LogFile => {
                     let lines = bench.system_log().entries_from(0).into_iter();
                     return Ok(Answer::LogFile(lines.map(|entry| format!("{entry}\n")).collect()));
                 }
-                Self::Frames => return Answer::json(&json!({ "frames": bench.frames_from(0) })),
+                Self::Frames => return Ok(Answer::of_json(object("frames", &bench.frames_from(0)))),
                 Self::Frame(body) => return Answer::json(&bench.take_frame(&body, now)?),
                 Self::Command(body) => body.execute(bench, now)?,
                 Self::Part(part) => bench.set_part(part, now),

@@ -129,7 +129,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let Some(client) = self.client(id) else { return };
         let is_error = client.is_missed();
         let reaction = client.reaction_to_its_end(self.device.config());
-        let has_cyclic_outputs = matches!(client, ProtocolClient::Profibus(_) | ProtocolClient::Images(_));
+        let has_cyclic_outputs = client.has_cyclic_outputs();
         if let Some(slot) = self.clients.get_mut(usize::from(id.index)) {
             *slot = None;
         }
@@ -432,11 +432,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// Returns the address of the PROFIBUS master that has locked the slave, if any.
     #[must_use]
     pub fn profibus_master(&self) -> Option<u8> {
-        let slave = self.clients.iter().flatten().find_map(|client| match client {
-            ProtocolClient::Profibus(slave) => Some(slave),
-            _ => None,
-        });
-        slave.and_then(crate::profibus::ProfibusSlave::master)
+        self.clients.iter().flatten().find_map(ProtocolClient::profibus_master)
     }
 
     /// Writes a complete output image from a bus with image transfer ([`PortKind::Profinet`]). `is_first` marks the

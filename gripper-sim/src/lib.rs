@@ -30,6 +30,7 @@
 //! The model is simplified: the fingers stop instantly on Stop, FAST STOP and contact, a part is an ideal spring, and
 //! the force is exact. `docs/models.md` records the decisions made where the manual is silent.
 #![cfg_attr(not(any(feature = "control", feature = "rig")), no_std)]
+#![cfg_attr(target_family = "wasm", allow(dead_code, unused_imports, reason = "a browser has no lines"))]
 #![forbid(unsafe_code)]
 
 mod axis;
@@ -45,15 +46,18 @@ mod device;
 mod faults;
 mod fieldbus;
 mod finger;
+#[cfg(not(target_family = "wasm"))]
 mod gcl;
 mod gripper;
 mod journal;
+#[cfg(not(target_family = "wasm"))]
 mod modbus;
 mod model;
 mod motion;
 #[cfg(feature = "std")]
 pub mod options_file;
 mod port;
+#[cfg(not(target_family = "wasm"))]
 mod profibus;
 #[cfg(feature = "std")]
 pub mod program;

@@ -5,7 +5,7 @@ use super::bench::Bench;
 use super::latest_script::ScriptReport;
 use super::state::{HelloBody, StateBody};
 use crate::time::Time;
-use serde_json::json;
+use serde::Serialize;
 
 /// Interval of the heartbeat to pages while nothing changes. A page shows after a second that it receives nothing.
 const HEARTBEAT_MS: u64 = 200;
@@ -13,9 +13,19 @@ const HEARTBEAT_MS: u64 = 200;
 /// Kind and JSON of an event.
 pub(crate) type Event = (&'static str, String);
 
+/// Returns a value as JSON. The values of events contain nothing that JSON cannot represent.
+fn text(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}
+
+/// Returns an object with one member as JSON.
+pub(super) fn object(name: &str, value: &impl Serialize) -> String {
+    format!("{{\"{name}\":{}}}", text(value))
+}
+
 /// Returns the event with which each page begins: the static data.
 pub(crate) fn hello(bench: &Bench) -> Event {
-    ("hello", serde_json::to_string(&HelloBody::of(bench)).unwrap_or_default())
+    ("hello", text(&HelloBody::of(bench)))
 }
 
 /// What the open pages know.
@@ -45,8 +55,7 @@ impl Publisher {
     pub(crate) fn events(&mut self, bench: &mut Bench, now: Time) -> Vec<Event> {
         let mut events = Vec::new();
         let report = bench.report(now);
-        // The body contains nothing that JSON cannot represent.
-        let state = serde_json::to_string(&StateBody::of(bench, &report).without_time()).unwrap_or_default();
+        let state = text(&StateBody::of(bench, &report).without_time());
         if state != self.state || now >= self.due {
             let (time_s, as_of) = (report.now.as_micros() as f64 / 1e6, as_of(bench, report.now));
             let json = format!("{{\"time_s\":{time_s},\"as_of\":\"{as_of}\",\"state\":{state}}}");
@@ -56,26 +65,27 @@ impl Publisher {
         let entries = bench.system_log().entries_from(self.next_entry);
         if let Some(latest) = entries.last() {
             self.next_entry = latest.number + 1;
-            events.push(("system_log", json!({ "entries": entries }).to_string()));
+            events.push(("system_log", object("entries", &entries)));
         }
         let frames = bench.frames_from(self.next_frame);
         if let Some(latest) = frames.last() {
             self.next_frame = latest.number + 1;
-            events.push(("editor", json!({ "frames": frames }).to_string()));
+            events.push(("editor", object("frames", &frames)));
         }
         let (report, lines) = bench.script.report(self.next_line);
         if !lines.is_empty() || self.script.as_ref() != Some(&report) {
             self.next_line = lines.last().map_or(self.next_line, |line| line.number + 1);
-            events.push(("script", json!({ "latest": report, "lines": lines }).to_string()));
+            events.push(("script", format!("{{\"latest\":{},\"lines\":{}}}", text(&report), text(&lines))));
             self.script = Some(report);
         }
         if self.settings != bench.settings_revision() {
             self.settings = bench.settings_revision();
-            events.push(("settings", json!({ "revision": self.settings }).to_string()));
+            events.push(("settings", object("revision", &self.settings)));
         }
         let log = bench.take_watched();
         if !log.lines.is_empty() {
-            events.push(("log", json!({ "lines": log.lines, "lost": log.lost }).to_string()));
+            let json = format!("{{\"lines\":{},\"lost\":{}}}", text(&log.lines), log.lost);
+            events.push(("log", json));
         }
         events
     }

@@ -4,7 +4,7 @@ use super::answer::status;
 use super::bench::{Bench, PAGE};
 use super::faulty_line::Latency;
 use super::log::Log;
-use super::publisher::{Event, Publisher, hello};
+use super::publisher::{Event, Publisher, hello, object};
 use super::settings::{Changes, Given, Refused, Setting, SettingState, changed_settings};
 use super::system_log::{Severity, SystemLog};
 use super::{Action, Answer, Host, HttpError, check, lacking, words};
@@ -14,7 +14,7 @@ use std::sync::LazyLock;
 
 /// The table of settings, as the command line of `wsg-sim` defines it. A test compares them.
 static TABLE: LazyLock<Vec<Setting>> =
-    LazyLock::new(|| serde_json::from_str(include_str!("settings.json")).unwrap_or_default());
+    LazyLock::new(|| serde_json::from_slice(include_bytes!("settings.json")).unwrap_or_default());
 
 /// Interval between two samples of the history, in ms.
 const SAMPLE_MS: u64 = 50;
@@ -99,9 +99,7 @@ impl Simulator {
         self.keep_tag();
         match answer {
             Ok(Answer::Json(text) | Answer::LogFile(text)) => (200, text),
-            Err(HttpError { status, error, .. }) => {
-                (status, serde_json::json!({ "error": error }).to_string())
-            }
+            Err(HttpError { status, error, .. }) => (status, object("error", &error)),
         }
     }
 
@@ -222,5 +220,81 @@ impl Host for Simulator {
     fn restart(&mut self) {
         self.bench.report_event(self.now, Severity::Warning, PAGE, "restart");
         self.is_restarting = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    fn simulator() -> Simulator {
+        Simulator::new(7, String::new)
+    }
+
+    fn ask(simulator: &mut Simulator, ms: u64, path: &str, body: Option<&str>) -> (u16, Value) {
+        let now = Time::from_millis(ms);
+        let as_of = simulator.request(now, "/state", None, None).1;
+        let as_of: Value = serde_json::from_str(&as_of).unwrap();
+        let (status, answer) = simulator.request(now, path, as_of["as_of"].as_str(), body.map(str::as_bytes));
+        (status, serde_json::from_str(&answer).unwrap())
+    }
+
+    #[test]
+    fn result_does_not_depend_on_the_steps_of_the_page() {
+        let run = |steps: &[u64]| {
+            let mut simulator = simulator();
+            let first = simulator.open(Time::ZERO);
+            assert_eq!(first.0, "hello");
+            assert_eq!(ask(&mut simulator, 100, "/command", Some(r#"{"command":"home"}"#)).0, 200);
+            let body = Some(r#"{"command":"Get System State","payload":"1 100w","send":true}"#);
+            assert_eq!(ask(&mut simulator, 100, "/frame", body).0, 400, "a payload that is no value");
+            let body = Some(r#"{"command":"Get System State","payload":"1 100 0","send":true}"#);
+            assert_eq!(ask(&mut simulator, 100, "/frame", body).0, 200);
+            let mut now = 100;
+            while now < 6_000 {
+                now = steps.iter().map(|step| now + step).find(|next| *next <= 6_000).unwrap_or(6_000);
+                simulator.events(Time::from_millis(now));
+            }
+            let frames = ask(&mut simulator, 6_000, "/frames", None).1;
+            let width = ask(&mut simulator, 6_000, "/state", None).1["width_mm"].clone();
+            (frames["frames"].as_array().unwrap().len(), frames, width, simulator.bench.history.samples())
+        };
+        let (count, frames, width, history) = run(&[16]);
+        assert!(count > 2 && width == 110.0, "{count}, {width}");
+        for steps in [&[7][..], &[5_900], &[1_000, 50]] {
+            let other = run(steps);
+            assert!((&other.2, &other.3) == (&width, &history), "{steps:?}");
+            assert_eq!(other.1, frames, "{steps:?}");
+        }
+    }
+
+    #[test]
+    fn restart_takes_over_the_settings_and_refuses_the_earlier_state() {
+        let mut simulator = simulator();
+        let body = |text| Some(text);
+        let (status, settings) =
+            ask(&mut simulator, 1, "/settings", body(r#"{"model":"wsg70","speed":"50"}"#));
+        assert_eq!((status, &settings["restart_pending"]), (200, &Value::Bool(true)));
+        for (wrong, expected) in [
+            (r#"{"speed":"x"}"#, "invalid value 'x' for '--speed': expected a number above 0"),
+            (r#"{"tcp":"127.0.0.1:1000"}"#, "tcp needs the program wsg-sim"),
+            (r#"{"force":"5000"}"#, "invalid value for --force with --model wsg70: "),
+        ] {
+            let (status, answer) = ask(&mut simulator, 2, "/settings", body(wrong));
+            let error = answer["error"].as_str().unwrap_or_default();
+            assert!(status == 400 && error.starts_with(expected), "{status} {error}");
+        }
+        let before = ask(&mut simulator, 3, "/restart", body("{}")).1;
+        assert_eq!(before["model"], "wsg50-110");
+        let events = simulator.events(Time::from_millis(50));
+        assert!(events[0].0 == "hello" && events[0].1.contains("wsg70"), "{events:?}");
+        let home = Some(&br#"{"command":"home"}"#[..]);
+        let now = Time::from_millis(51);
+        assert_eq!(simulator.request(now, "/command", before["as_of"].as_str(), home).0, 412);
+        assert_eq!(simulator.request(now, "/command", None, home).0, 428);
+        assert_eq!(simulator.request(now, "/scripts", None, None).0, 501);
+        let settings = ask(&mut simulator, 52, "/settings", None).1;
+        assert_eq!(settings["restart_pending"], false);
     }
 }
