@@ -1,12 +1,11 @@
 //! The page of the station in Chromium, from the folder that `cargo xtask web` builds.
 
 mod sessions;
-mod site;
 
 use browser::{PROBLEMS, Tab};
 use serde_json::{Value, json};
-use site::Site;
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 use wsg_web::station::call;
@@ -37,14 +36,37 @@ const HASHES: &str = "async requests => {
     });
 }";
 
+/// Pages of a site share a process, so one test after the other has it.
+static TURN: Mutex<()> = Mutex::new(());
+
+/// The files that `cargo xtask web` builds.
+struct Site {
+    address: String,
+    _turn: MutexGuard<'static, ()>,
+}
+
+impl Site {
+    fn open() -> Self {
+        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("../web");
+        assert!(folder.join("wsg.wasm").exists(), "{} is missing: run `cargo xtask web`", folder.display());
+        Self { address: browser::serve(&folder).unwrap(), _turn }
+    }
+
+    /// Returns the address of a file.
+    fn address(&self, file: &str) -> String {
+        format!("{}/{file}", self.address)
+    }
+}
+
 fn hash(text: &str) -> u32 {
     text.bytes().fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193))
 }
 
 /// Every answer is equal, with all frames, levels, and widths to the last digit.
 #[test]
-#[ignore = "needs Chromium and target/web: `cargo xtask test` installs and builds them"]
-fn sessions_give_the_same_frames_natively_and_in_chromium() {
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn sessions_give_the_same_frames_natively_and_on_the_static_page_in_chromium() {
     let site = Site::open();
     let mut tab = Tab::open(&site.address("station.html"));
     let mut frames = 0;
@@ -89,8 +111,8 @@ fn step(number: u8) -> String {
 }
 
 #[test]
-#[ignore = "needs Chromium and target/web: `cargo xtask test` installs and builds them"]
-fn tour_is_clicked_through_in_chromium() {
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn tour_of_the_static_page_is_clicked_through_in_chromium() {
     let site = Site::open();
     let mut tab = Tab::open(&site.address("station.html"));
     tab.until(&step(1));
@@ -152,8 +174,8 @@ fn tour_is_clicked_through_in_chromium() {
 }
 
 #[test]
-#[ignore = "needs Chromium and target/web: `cargo xtask test` installs and builds them"]
-fn page_is_paused_stepped_and_hidden_and_shows_refusals_in_chromium() {
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn static_page_is_paused_stepped_and_hidden_and_shows_refusals_in_chromium() {
     let site = Site::open();
     let mut tab = Tab::open(&site.address("station.html#0w20~nonsense"));
     tab.until("document.getElementById('message').textContent.includes('the link is damaged')");
@@ -203,8 +225,8 @@ fn processor_s(tab: &mut Tab) -> f64 {
 /// A telephone that is four times as slow as this computer draws 60 frames a second if each takes at most a quarter of 16 ms here.
 /// Time in the processor does not depend on what else a computer does.
 #[test]
-#[ignore = "needs Chromium and target/web: `cargo xtask test` installs and builds them"]
-fn motion_and_rest_take_little_of_the_processor_in_chromium() {
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn motion_and_rest_of_the_static_page_take_little_of_the_processor_in_chromium() {
     let site = Site::open();
     let mut tab = Tab::open(&site.address("station.html"));
     tab.call("Performance.enable", &json!({ "timeDomain": "threadTicks" }));

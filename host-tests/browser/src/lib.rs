@@ -4,6 +4,10 @@
 //! It needs no port, and it ends with the tests in any case, because its pipe closes. Tests are ignored and have
 //! `in_chromium` in their names, by which `cargo xtask test` skips them where Chromium is missing.
 
+mod files;
+
+pub use files::serve;
+
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Write};
@@ -375,6 +379,16 @@ impl Tab {
             self.call("Input.dispatchMouseEvent", &click);
         }
     }
+}
+
+/// Returns the processor time in s that all pages, and what draws them, have used.
+pub fn cpu_time() -> f64 {
+    let info = BROWSER.call("SystemInfo.getProcessInfo", &json!({}));
+    let processes = info["processInfo"].as_array().expect("processes").iter();
+    processes
+        .filter(|process| process["type"] != "browser")
+        .filter_map(|process| process["cpuTime"].as_f64())
+        .sum()
 }
 
 impl Drop for Tab {

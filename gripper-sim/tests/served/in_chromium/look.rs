@@ -28,13 +28,12 @@ fn sizes() -> impl Iterator<Item = (u32, u32, &'static str)> {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn layout_fits_and_text_has_contrast_in_light_and_dark() {
+pub(super) fn layout_fits_and_text_has_contrast_in_light_and_dark() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);
     grip(&mut tab);
-    let _client = gripper.acknowledge();
-    tab.until("document.getElementById('clients').childElementCount > 0");
+    let _client = gripper.connect_client(&mut tab);
     for size in sizes() {
         check(&mut tab, size, "");
     }
@@ -66,7 +65,7 @@ const MOST_HEIGHT: u64 = 2_400;
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn pages_are_short_on_a_telephone() {
+pub(super) fn pages_are_short_on_a_telephone() {
     let gripper = Gripper::new(&[]);
     let mut tab = gripper.open();
     tab.look(390, 844, "light");
