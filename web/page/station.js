@@ -79,7 +79,13 @@ function start() {
     }
     if (running) schedule(rests ? REST_MS : 0);
   }
-  function setRunning(value) { running = value; before = null; if (running) schedule(0); write($("run"), running ? "Pause" : "Run"); $("single").disabled = running; }
+  function setRunning(value) {
+    running = value;
+    before = null;
+    if (running) schedule(0);
+    // A step that is under way still ends.
+    turns.then(() => { write($("run"), running ? "Pause" : "Run"); $("single").disabled = running; });
+  }
   async function load(link) {
     if (link) say("Replaying the session of the link.");
     setRunning(false);
