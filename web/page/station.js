@@ -227,7 +227,7 @@ function start() {
     const isFastStopped = view.flags.includes("FAST_STOP");
     document.body.classList.toggle("fast-stopped", isFastStopped);
     document.body.classList.toggle("failed", view.state === "ERROR");
-    write($("state"), (isFastStopped ? "FAST STOP, " : "") + view.state);
+    write($("state"), "Gripper: " + (isFastStopped ? "FAST STOP, " : "") + view.state);
     write($("time"), (view.now_us / 1e6).toFixed(3) + " s");
     draw();
     hello.inputs.forEach((name, bit) => mark($(name), "aria-checked", Boolean(view.inputs >> bit & 1)));

@@ -245,7 +245,7 @@ fn motion_and_rest_of_the_static_page_take_little_of_the_processor_in_chromium()
     tab.until(&step(2));
     tab.eval("window.drawn = 0; new MutationObserver(() => drawn++).observe(document.querySelector('#drawing .finger'), { attributes: true }); 0");
     tab.click("#pulse_HOME");
-    tab.until("document.getElementById('state').textContent === 'POSITIONING'");
+    tab.until("document.getElementById('state').textContent === 'Gripper: POSITIONING'");
     let (before, first) = (processor_s(&mut tab), tab.eval("drawn").as_f64().unwrap());
     tab.until(&step(3));
     let (after, last) = (processor_s(&mut tab), tab.eval("drawn").as_f64().unwrap());
