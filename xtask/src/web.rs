@@ -27,6 +27,10 @@ const MAX_COMPRESSED: usize = 250_000;
 /// What the page of the gripper may load: its own files.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; \
                       worker-src 'self'; base-uri 'none'; form-action 'none'";
+/// Where the page `try` of the book has the gripper's page. The PDF has a picture alone.
+const PLACE: &str = "<!-- the page -->";
+const EMBEDDED: &str = "<p><a href=\"web/index.html\">Open it in a window of its own</a></p>\n\
+    <iframe src=\"web/gripper.html\" title=\"the virtual gripper\" style=\"width:100%;height:60em;border:0\"></iframe>";
 const HEAD: &str = "<meta charset=\"utf-8\">";
 
 /// Builds the files, and checks their size. Returns the folder.
@@ -72,6 +76,20 @@ pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
     println!("{all:7} bytes compressed by gzip -9; at most {MAX_COMPRESSED}");
     ensure!(all <= MAX_COMPRESSED, "the pages have {all} bytes, more than {MAX_COMPRESSED}");
     Ok(folder)
+}
+
+/// Adds the files to the book, whose page `try` embeds the gripper's page.
+pub(crate) fn add_to_book(workspace: &Workspace) -> Result<()> {
+    let book = workspace.target_dir.join("book");
+    let folder = book.join(FOLDER);
+    fs::create_dir_all(&folder)?;
+    for entry in fs::read_dir(build(workspace)?)? {
+        copy(&entry?.path(), &folder)?;
+    }
+    let page = book.join("try.html");
+    let text = fs::read_to_string(&page).with_context(|| format!("cannot read {}", page.display()))?;
+    ensure!(text.contains(PLACE), "{} lacks {PLACE}", page.display());
+    Ok(fs::write(page, text.replace(PLACE, EMBEDDED))?)
 }
 
 /// Serves the folder, opens it in the browser, and waits until it is stopped.

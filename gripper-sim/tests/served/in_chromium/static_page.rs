@@ -143,6 +143,7 @@ fn page_draws_60_frames_a_second_on_a_slow_telephone_and_idles() {
     tab.call("Emulation.setCPUThrottlingRate", &json!({"rate": 4}));
     let frames = (0..ATTEMPTS).map(|attempt| {
         let width = if attempt % 2 == 0 { 30 } else { 100 };
+        tab.until(&format!("{STATE} === 'IDLE'"));
         tab.fill("#width", &width.to_string());
         tab.fill("#speed", "20");
         tab.click("#move");
