@@ -26,8 +26,12 @@ use std::sync::Arc;
 use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Command, Status, SystemFlags};
 
-/// The maximum number of simultaneous clients. A page in a browser has none but its command editor, and little room on the stack.
-pub(crate) const MAX_CLIENTS: usize = if cfg!(target_family = "wasm") { 4 } else { 128 };
+/// The maximum number of simultaneous clients.
+#[cfg(not(target_family = "wasm"))]
+pub(crate) const MAX_CLIENTS: usize = 128;
+/// In a browser, the command editor is the only client, and the stack is small.
+#[cfg(target_family = "wasm")]
+pub(crate) const MAX_CLIENTS: usize = 4;
 
 /// Source of entries of the system log: the page or a program at the control interface.
 pub(crate) const PAGE: &str = "page";

@@ -1,4 +1,4 @@
-//! The age of requests by their senders: what is checked by the named state, and what by the stalls of this program.
+//! The age of requests by their senders: by the state that they name, or by the stalls of this program.
 
 use crate::control::{Effect, HttpError, MAX_AGE_MS, check, lacking};
 use crate::server::hub::Hub;
