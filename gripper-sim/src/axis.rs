@@ -377,7 +377,8 @@ impl Axis {
 
     /// Returns how deep the fingers are in the part, in mm.
     pub(crate) fn penetration(&self) -> f64 {
-        self.depth().map_or(0.0, |depth| depth.max(0.0))
+        // Not `max`, whose result for -0.0 and 0.0 depends on the processor, and would be a different byte in a frame.
+        self.depth().filter(|depth| *depth > 0.0).unwrap_or(0.0)
     }
 
     /// Returns how far the fingers are beyond the part's surface, in mm; negative while they do not touch it.

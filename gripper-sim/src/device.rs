@@ -119,7 +119,7 @@ impl Device {
     }
 
     /// Sets the force limit in N, within the permitted forces.
-    #[cfg(feature = "std")]
+    #[cfg(feature = "control")]
     pub(crate) const fn set_force_limit(&mut self, force: f32) {
         self.motion.settings_mut().set_force_limit(force);
     }

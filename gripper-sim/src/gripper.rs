@@ -129,7 +129,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let Some(client) = self.client(id) else { return };
         let is_error = client.is_missed();
         let reaction = client.reaction_to_its_end(self.device.config());
-        let has_cyclic_outputs = matches!(client, ProtocolClient::Profibus(_) | ProtocolClient::Images(_));
+        let has_cyclic_outputs = client.has_cyclic_outputs();
         if let Some(slot) = self.clients.get_mut(usize::from(id.index)) {
             *slot = None;
         }
@@ -371,7 +371,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
 
     /// Sets the force limit and executes a command of an operator. A refused command leaves the force limit as it was, and
     /// so does a force that the gripper would have to correct.
-    #[cfg(feature = "std")]
+    #[cfg(feature = "control")]
     pub(crate) fn command_with_force(&mut self, force: f32, command: &Command<'_>, now: Time) -> Status {
         let settings = self.device.motion().settings();
         let before = settings.force_limit();
@@ -432,11 +432,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// Returns the address of the PROFIBUS master that has locked the slave, if any.
     #[must_use]
     pub fn profibus_master(&self) -> Option<u8> {
-        let slave = self.clients.iter().flatten().find_map(|client| match client {
-            ProtocolClient::Profibus(slave) => Some(slave),
-            _ => None,
-        });
-        slave.and_then(crate::profibus::ProfibusSlave::master)
+        self.clients.iter().flatten().find_map(ProtocolClient::profibus_master)
     }
 
     /// Writes a complete output image from a bus with image transfer ([`PortKind::Profinet`]). `is_first` marks the

@@ -19,6 +19,7 @@
 //! | `script` | commands claimed by scripts on the gripper |
 //! | `client`, `protocol_client` | the contract of a client of any protocol, and the clients by protocol |
 //! | `gripper` | the contract with the caller |
+//! | `control` | the control interface without I/O, and a gripper for a page without a server (feature `control`) |
 //! | `server` | servers on TCP, UDP, serial lines and CAN (feature `std`) |
 //! | `program` | the program `wsg-sim` and its options (feature `std`) |
 //! | `text`, `command_line`, `options_file` | text from outside, and what the command lines of all host programs share (feature `std`) |
@@ -28,7 +29,8 @@
 //!
 //! The model is simplified: the fingers stop instantly on Stop, FAST STOP and contact, a part is an ideal spring, and
 //! the force is exact. `docs/models.md` records the decisions made where the manual is silent.
-#![cfg_attr(not(any(feature = "std", feature = "rig")), no_std)]
+#![cfg_attr(not(any(feature = "control", feature = "rig")), no_std)]
+#![cfg_attr(target_family = "wasm", allow(dead_code, unused_imports, reason = "a browser has no lines"))]
 #![forbid(unsafe_code)]
 
 mod axis;
@@ -37,20 +39,25 @@ mod client;
 #[cfg(feature = "std")]
 pub mod command_line;
 mod config;
+#[cfg(feature = "control")]
+pub mod control;
 mod deframer;
 mod device;
 mod faults;
 mod fieldbus;
 mod finger;
+#[cfg(not(target_family = "wasm"))]
 mod gcl;
 mod gripper;
 mod journal;
+#[cfg(not(target_family = "wasm"))]
 mod modbus;
 mod model;
 mod motion;
 #[cfg(feature = "std")]
 pub mod options_file;
 mod port;
+#[cfg(not(target_family = "wasm"))]
 mod profibus;
 #[cfg(feature = "std")]
 pub mod program;
@@ -62,7 +69,7 @@ mod send_queue;
 #[cfg(feature = "std")]
 pub mod server;
 mod settings;
-#[cfg(feature = "std")]
+#[cfg(feature = "control")]
 pub mod text;
 mod thermal;
 mod time;

@@ -54,7 +54,7 @@ impl PortKind {
     }
 
     /// Returns whether the line carries the binary protocol, to which the commands of scripts belong.
-    #[cfg(feature = "std")]
+    #[cfg(feature = "control")]
     pub(crate) fn is_binary(self) -> bool {
         self.protocol() == Protocol::Binary
     }

@@ -1,13 +1,16 @@
-//! The clients of all protocols.
+//! The clients of all protocols. In a browser, that is the binary one alone.
 
 use crate::binary::BinaryClient;
 use crate::client::Client;
 use crate::config::Config;
 use crate::device::Device;
 use crate::fieldbus::Fieldbus;
+#[cfg(not(target_family = "wasm"))]
 use crate::gcl::TextClient;
+#[cfg(not(target_family = "wasm"))]
 use crate::modbus::ModbusClient;
 use crate::port::{FrameBuffer, PortCounters, PortId, PortKind, Protocol};
+#[cfg(not(target_family = "wasm"))]
 use crate::profibus::ProfibusSlave;
 use crate::time::Time;
 use core::ops::{Deref, DerefMut};
@@ -20,10 +23,13 @@ pub(crate) enum ProtocolClient {
     /// A client of the binary protocol.
     Binary(BinaryClient),
     /// A client of the text protocol (GCL).
+    #[cfg(not(target_family = "wasm"))]
     Text(TextClient),
     /// A master on Modbus/TCP.
+    #[cfg(not(target_family = "wasm"))]
     Modbus(ModbusClient),
     /// A master on a PROFIBUS DP line.
+    #[cfg(not(target_family = "wasm"))]
     Profibus(ProfibusSlave),
     /// A bus that transfers complete images.
     Images(ImageBus),
@@ -33,10 +39,35 @@ impl ProtocolClient {
     pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
         match kind.protocol() {
             Protocol::Binary => Self::Binary(BinaryClient::new(id, kind, config)),
+            #[cfg(not(target_family = "wasm"))]
             Protocol::Text => Self::Text(TextClient::new(id, kind, config)),
+            #[cfg(not(target_family = "wasm"))]
             Protocol::Modbus => Self::Modbus(ModbusClient::new(id)),
+            #[cfg(not(target_family = "wasm"))]
             Protocol::Profibus => Self::Profibus(ProfibusSlave::new(id, config.profibus_address)),
+            // Without lines, no client speaks another protocol, and a page loads faster.
+            #[cfg(target_family = "wasm")]
+            Protocol::Text | Protocol::Modbus | Protocol::Profibus => Self::Images(ImageBus(id)),
             Protocol::Images => Self::Images(ImageBus(id)),
+        }
+    }
+
+    /// Returns whether the master of the client sends its outputs cyclically.
+    pub(crate) const fn has_cyclic_outputs(&self) -> bool {
+        match self {
+            Self::Images(_) => true,
+            #[cfg(not(target_family = "wasm"))]
+            Self::Profibus(_) => true,
+            _ => false,
+        }
+    }
+
+    /// Returns the address of the PROFIBUS master that has locked the slave, if any.
+    pub(crate) fn profibus_master(&self) -> Option<u8> {
+        match self {
+            #[cfg(not(target_family = "wasm"))]
+            Self::Profibus(slave) => slave.master(),
+            _ => None,
         }
     }
 }
@@ -47,8 +78,11 @@ impl Deref for ProtocolClient {
     fn deref(&self) -> &Self::Target {
         match self {
             Self::Binary(client) => client,
+            #[cfg(not(target_family = "wasm"))]
             Self::Text(client) => client,
+            #[cfg(not(target_family = "wasm"))]
             Self::Modbus(client) => client,
+            #[cfg(not(target_family = "wasm"))]
             Self::Profibus(client) => client,
             Self::Images(client) => client,
         }
@@ -59,8 +93,11 @@ impl DerefMut for ProtocolClient {
     fn deref_mut(&mut self) -> &mut Self::Target {
         match self {
             Self::Binary(client) => client,
+            #[cfg(not(target_family = "wasm"))]
             Self::Text(client) => client,
+            #[cfg(not(target_family = "wasm"))]
             Self::Modbus(client) => client,
+            #[cfg(not(target_family = "wasm"))]
             Self::Profibus(client) => client,
             Self::Images(client) => client,
         }

@@ -8,7 +8,6 @@ mod can;
 mod control;
 mod echoes;
 mod ethernetip;
-mod faulty_line;
 mod folder;
 mod hub;
 mod lines;
@@ -17,7 +16,6 @@ mod log_writer;
 mod open_line;
 mod options;
 mod profinet;
-mod request_line;
 mod restart;
 mod script;
 mod serial;
@@ -79,7 +77,7 @@ impl Server {
     /// # Errors
     /// Returns an error that names the line that cannot be opened.
     pub async fn bind(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
-        let system_log = SystemLog::open(lines.system_log.as_deref())?;
+        let system_log = system_log::open(lines.system_log.as_deref())?;
         Self::open(config, lines, &mut { log }, system_log, None, &Places::default()).await
     }
 
@@ -90,7 +88,7 @@ impl Server {
     pub async fn bind_options(options: &Options, log: Option<Log>) -> Result<Self> {
         // Built before any line waits for this thread.
         let _ = options::settings();
-        let system_log = SystemLog::open(options.lines.system_log.as_deref())?;
+        let system_log = system_log::open(options.lines.system_log.as_deref())?;
         let places = Places::default();
         Self::open(options.config, &options.lines, &mut { log }, system_log, Some(options), &places).await
     }
@@ -129,7 +127,7 @@ impl Server {
         let opened = open_lines(config, lines, kept).await?;
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
         // Pages show the log even if it is written nowhere.
-        let log = log.take().or_else(|| lines.control.is_some().then(Log::to_nowhere));
+        let log = log.take().or_else(|| lines.control.is_some().then(|| Log::new(None)));
         let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log, system_log, options));
         hub.report_event(Severity::Info, "gripper", &format!("started as {}", config.model));
         for bus in opened.iter().filter_map(|line| line.bus.clone()) {

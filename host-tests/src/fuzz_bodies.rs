@@ -45,7 +45,7 @@ mod profinet;
 mod rtu_line;
 mod session;
 mod storage;
-mod tap;
+pub(crate) mod tap;
 mod tracked;
 mod typed;
 mod whole;

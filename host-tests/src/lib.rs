@@ -41,6 +41,7 @@
 //! | [`registers`] | models of peripherals that QEMU lacks |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper on a serial line in virtual time |
+//! | [`station_promises`] | the promises of the bridge, judged on the station of the web page |
 //! | [`terminal`] | a pseudo-terminal connected to the board's bus |
 //! | [`trace`] | event recording, readable by people and comparable by tests |
 //! | [`world`] | the whole bridge, its lines, a virtual gripper and a PLC, in virtual time |
@@ -91,6 +92,7 @@ pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
 pub mod socket;
+pub mod station_promises;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;

@@ -11,7 +11,7 @@
 //! | [`reply`] | [`Reply`]: status and typed values | command set, 1.2.2 and chapter 3 |
 //! | [`limits`] | requests against the gripper's limits | command set, 3.5.4 |
 //! | [`Meaning`] | frames as readable text, for logs | |
-//! | `editor` | the input language of a command editor (feature `std`) | command set, 2 |
+//! | `editor` | the input language of a command editor (feature `editor`) | command set, 2 |
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
 //! | `driver` | blocking and async drivers (features `embedded-io` and `embedded-io-async`; on a PC `std` and `tokio`) | command set, chapter 3 |
@@ -65,7 +65,7 @@ pub mod checksum;
 pub mod command;
 #[cfg(any(feature = "embedded-io", feature = "embedded-io-async"))]
 pub mod driver;
-#[cfg(feature = "std")]
+#[cfg(feature = "editor")]
 pub mod editor;
 mod field;
 pub mod frame;

@@ -18,6 +18,7 @@ use crate::{
         self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
         CARGO_SEMVER_CHECKS, MDBOOK, MIRI, NIGHTLY,
     },
+    web,
     workspace::{TARGET_CRATES, Workspace},
 };
 
@@ -63,7 +64,8 @@ pub(crate) fn dist_c(workspace: &Workspace, arguments: &[OsString]) -> Result<()
 /// Builds the documents as a book.
 pub(crate) fn docs(workspace: &Workspace) -> Result<()> {
     tools_of_book(workspace)?;
-    process::run(&mut workspace.cargo("run -q -p dist -- book"))
+    process::run(&mut workspace.cargo("run -q -p dist -- book"))?;
+    web::add_to_book(workspace)
 }
 
 /// Installs mdBook and Chromium. Without Chromium, there is no PDF.

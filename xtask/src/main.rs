@@ -24,6 +24,7 @@ mod size;
 mod stack;
 mod test;
 mod tool;
+mod web;
 mod workspace;
 
 use std::{
@@ -175,6 +176,12 @@ enum Command {
     /// Build the documents as a book in target/book (mdbook), and print it to target/book.pdf (Chromium; without it, there is
     /// no PDF)
     Docs,
+    /// Build the pages without a server in target/web: the virtual gripper and the station as WebAssembly; check their size
+    Web {
+        /// Serve them on this machine and open them in the browser
+        #[arg(long)]
+        open: bool,
+    },
     /// Write the image to a board with probe-rs and start it
     Flash(Variant),
 }
@@ -258,6 +265,12 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Api { update } => commands::api(workspace, update)?,
         Command::Release { parts } => commands::release(workspace, &parts)?,
         Command::Docs => commands::docs(workspace)?,
+        Command::Web { open } => {
+            let folder = web::build(workspace)?;
+            if open {
+                web::open(&folder)?;
+            }
+        }
         Command::Flash(variant) => {
             commands::require_probe_rs()?;
             let image = build(workspace, &variant)?;

@@ -16,7 +16,7 @@ use crate::{
 /// A target without compare-and-swap, the default board's target, and one without any atomics.
 const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "riscv32i-unknown-none-elf"];
 
-const HOST_FEATURES: [&str; 3] = ["log", "std", "tokio"];
+const HOST_FEATURES: [&str; 4] = ["editor", "log", "std", "tokio"];
 
 /// The `no_std` example for boards.
 const BOARD_EXAMPLE: &str = "build --quiet -p wsg-protocol --example no_std_board --features embedded-io";

@@ -19,7 +19,7 @@ use crate::{
     panics, platforms, process, python,
     settings::Change,
     setup::{self, CLIPPY, Masters, NODE_VARIABLE, PYTHON_VARIABLE, RUSTFMT, ThumbToolchain},
-    size, stack,
+    size, stack, web,
     workspace::Workspace,
 };
 
@@ -234,6 +234,8 @@ impl Checks<'_> {
         }
         let skipped = masters.missing.iter().chain([&platforms::TESTS, &commands::WHOLE_ARCHIVE]);
         let skipped = skipped.chain(python.is_none().then_some(&TESTS_WITH_PYTHON));
+        let has_pages = self.toolchain.workspace.target_dir.join(web::FOLDER).exists();
+        let skipped = skipped.chain((!has_pages).then_some(&web::TESTS));
         process::run(tests.args(skipped.flat_map(|name| ["--skip", name])).args(filter))
     }
 }
@@ -255,7 +257,13 @@ fn lint_and_build(
     } else {
         record.not_checked("clippy, host (no clippy)");
     }
-    record.check("build", || build_tests(workspace))
+    record.check("build", || build_tests(workspace))?;
+    if setup::provide_target(workspace, web::TRIPLE) {
+        record.check("pages without a server", || web::build(workspace).map(drop))
+    } else {
+        record.not_checked(&format!("pages without a server (no {})", web::TRIPLE));
+        Ok(())
+    }
 }
 
 fn build_tests(workspace: &Workspace) -> Result<()> {

@@ -8,46 +8,39 @@
 mod access;
 mod age;
 mod answer;
-mod commands;
 mod documents;
-mod editor;
 mod events;
-mod history;
-mod injected;
 mod page;
 mod peer;
 mod read_only;
 mod scripts;
-mod settings;
 mod socket;
-mod state;
 
 use super::hub::Hub;
 use super::open_line::{Listen, OpenLine};
+use crate::control::{
+    Action, Bench, Changes, CommandBody, Effect, Host, HttpError, Publisher, Refused, SettingState, expected,
+    hello, parsed, state,
+};
+use crate::time::Time;
 use access::{check_host, check_origin};
-use age::{Effect, Sender, Stalls, as_of, as_of_in};
-use answer::{Answer, HttpError, finished, json, whole};
+use age::{Sender, Stalls, as_of_in};
+use answer::{Answer, file, finished, of_control, whole};
 use anyhow::Result;
-use commands::{COMMAND_EXPECTED, CommandBody, Executed};
 use documents::DOCUMENTS;
-use editor::{Editor, FRAME_EXPECTED, FrameBody};
 use events::{Events, Link, MAX_STREAMS, Watchers, event};
 use fieldbus_host::accept::{Accepted, Acceptor};
-use history::History;
 use http_body_util::{BodyExt, Either, LengthLimitError, Limited};
 use hyper::body::{Bytes, Incoming};
-use hyper::header::{CONTENT_DISPOSITION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderValue};
+use hyper::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::upgrade::OnUpgrade;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
-use injected::{FAULT_EXPECTED, FaultBody, LINE_EXPECTED, PART_EXPECTED, line_faults, part, which_fault};
 use peer::Peer;
 use scripts::ScriptBody;
 use serde::Deserialize;
-use settings::{SETTINGS_EXPECTED, change, settings};
-use state::{HelloBody, StateBody};
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -59,7 +52,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, spawn_local, yield_now};
-use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
+use tokio::time::{Interval, MissedTickBehavior, interval, sleep, timeout};
 
 pub use read_only::serve_read_only;
 
@@ -73,8 +66,6 @@ const MAX_CONNECTIONS: usize = 32;
 const TIME_LIMIT: Duration = Duration::from_secs(5);
 /// Interval at which changes are sent to pages.
 const PERIOD: Duration = Duration::from_millis(50);
-/// Interval of the heartbeat to pages while nothing changes. A page shows after a second that it receives nothing.
-const HEARTBEAT: Duration = Duration::from_millis(200);
 /// Time from the answer to a request for a restart to the restart.
 const RESTART_DELAY: Duration = Duration::from_millis(100);
 /// How long a rejected connection may take to read the reason.
@@ -96,12 +87,11 @@ pub(super) async fn open(listen: Listen<'_>, names: &[String]) -> Result<Option<
 async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
     let names: Rc<[String]> = names.into();
     let watchers = Rc::new(Watchers::default());
-    let (history, editor) = (Rc::new(History::default()), Editor::new(Arc::clone(&hub)));
     let stalls = Stalls::new();
     spawn_local(Rc::clone(&stalls).watch());
-    spawn_local(Rc::clone(&history).record(Arc::clone(&hub)));
-    spawn_local(publish(Arc::clone(&hub), Rc::clone(&editor), Rc::clone(&watchers)));
-    let site = Site { hub, names, watchers, history, editor, stalls, executed: Rc::default() };
+    spawn_local(record(Arc::clone(&hub)));
+    spawn_local(publish(Arc::clone(&hub), Rc::clone(&watchers)));
+    let site = Site { hub, names, watchers, stalls };
     let serve = |link, stream, peer| serve_connection(site.clone(), link, stream, peer);
     match serve_connections(listener, MAX_CONNECTIONS, serve).await {}
 }
@@ -153,10 +143,7 @@ struct Site {
     hub: Arc<Hub>,
     names: Rc<[String]>,
     watchers: Rc<Watchers>,
-    history: Rc<History>,
-    editor: Rc<Editor>,
     stalls: Rc<Stalls>,
-    executed: Rc<Executed>,
 }
 
 /// A connection, as its request sees it.
@@ -178,61 +165,36 @@ async fn run_out(link: &Link) {
     }
 }
 
+/// Returns the ticks at which the gripper is observed.
+fn ticks() -> Interval {
+    let mut ticks = interval(PERIOD);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    ticks
+}
+
+/// Samples the gripper for as long as it runs.
+async fn record(hub: Arc<Hub>) {
+    let mut ticks = ticks();
+    loop {
+        ticks.tick().await;
+        hub.at_bench(Bench::record);
+    }
+}
+
 /// Sends changes of the state to pages while any are open.
-async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
-    // The next entry of the system log, and the next frame of the editor.
-    let (mut next_entry, mut next_frame) = (0, 0);
-    let (mut next_line, mut sent_script) = (0, None);
+async fn publish(hub: Arc<Hub>, watchers: Rc<Watchers>) {
+    let mut publisher = Publisher::default();
     loop {
         watchers.opened().await;
-        hub.watch_log(true);
-        // A page that opens reads the settings by itself.
-        let mut settings = hub.settings_revision();
-        let mut ticks = interval(PERIOD);
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        let mut sent = (String::new(), Instant::now());
+        hub.at_bench(|bench, _| publisher.begin(bench));
+        let mut ticks = ticks();
         while !watchers.are_none() {
             ticks.tick().await;
-            let report = hub.report();
-            let body = StateBody::of(&hub, &report).without_time();
-            // The body contains nothing that JSON cannot represent.
-            let state = serde_json::to_string(&body).unwrap_or_default();
-            if state != sent.0 || sent.1.elapsed() >= HEARTBEAT {
-                let (time_s, as_of) = (report.now.as_micros() as f64 / 1e6, as_of(&hub, report.now));
-                let json = format!("{{\"time_s\":{time_s},\"as_of\":\"{as_of}\",\"state\":{state}}}");
-                watchers.send(&event("state", &json));
-                sent = (state, Instant::now());
-            }
-            let entries = hub.system_log().entries_from(next_entry);
-            if let Some(latest) = entries.last() {
-                next_entry = latest.number + 1;
-                let entries = serde_json::json!({ "entries": entries });
-                watchers.send(&event("system_log", &entries.to_string()));
-            }
-            let frames = editor.frames_from(next_frame);
-            if let Some(latest) = frames.last() {
-                next_frame = latest.number + 1;
-                let frames = serde_json::json!({ "frames": frames });
-                watchers.send(&event("editor", &frames.to_string()));
-            }
-            let (report, lines) = hub.script_report(next_line);
-            if !lines.is_empty() || sent_script.as_ref() != Some(&report) {
-                next_line = lines.last().map_or(next_line, |line| line.number + 1);
-                let script = serde_json::json!({ "latest": report, "lines": lines });
-                watchers.send(&event("script", &script.to_string()));
-                sent_script = Some(report);
-            }
-            if settings != hub.settings_revision() {
-                settings = hub.settings_revision();
-                watchers.send(&event("settings", &format!("{{\"revision\":{settings}}}")));
-            }
-            let log = hub.take_watched();
-            if !log.lines.is_empty() {
-                let lines = serde_json::json!({ "lines": log.lines, "lost": log.lost });
-                watchers.send(&event("log", &lines.to_string()));
+            for (kind, json) in hub.at_bench(|bench, now| publisher.events(bench, now)) {
+                watchers.send(&event(kind, &json));
             }
         }
-        hub.watch_log(false);
+        hub.at_bench(|bench, _| bench.watch_log(false));
     }
 }
 
@@ -304,14 +266,16 @@ fn answer_message(site: &Site, sender: Sender, message: &str) -> Bytes {
             if !body.is_stop() {
                 sender.check(&site.hub, &site.stalls, Effect::Moves, as_of.as_deref())?;
             }
-            body.execute(&site.hub, &site.executed)?;
-            state(&site.hub)
+            site.hub.at_bench(|bench, now| {
+                body.execute(bench, now)?;
+                state(bench, now)
+            })
         });
     let (status, body) = match answer {
-        Ok(state) => (StatusCode::OK, state),
+        Ok(state) => (StatusCode::OK.as_u16(), state),
         Err(HttpError { status, error, .. }) => (status, serde_json::json!({ "error": error }).to_string()),
     };
-    let (id, status) = (serde_json::json!(id), status.as_u16());
+    let id = serde_json::json!(id);
     event("answer", &format!("{{\"id\":{id},\"status\":{status},\"body\":{body}}}"))
 }
 
@@ -326,25 +290,6 @@ async fn answer(
         act(&site, &connection, request).await
     };
     Ok(finished(answer.await))
-}
-
-/// Returns the state of gripper and lines as JSON.
-fn state(hub: &Hub) -> Result<String, HttpError> {
-    serde_json::to_string(&StateBody::of(hub, &hub.report()))
-        .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
-}
-
-/// Returns the system log as a file of text.
-fn system_log_file(hub: &Hub) -> Answer {
-    let lines = hub.system_log().entries_from(0).into_iter().map(|entry| format!("{entry}\n"));
-    file(lines.collect(), HeaderValue::from_static("attachment; filename=\"wsg-system-log.txt\""))
-}
-
-/// Returns a text that a browser saves as a file.
-fn file(text: String, disposition: HeaderValue) -> Answer {
-    let mut response = whole(text, HeaderValue::from_static("text/plain; charset=utf-8"));
-    response.headers_mut().insert(CONTENT_DISPOSITION, disposition);
-    response
 }
 
 /// Returns the page itself.
@@ -364,9 +309,8 @@ fn document((page, policy): (String, String)) -> Result<Answer, HttpError> {
 
 /// Opens an event stream, which begins with its static data.
 fn open_events(site: &Site, link: Rc<Link>) -> Result<Events, HttpError> {
-    let hello = HelloBody::of(&site.hub, &site.history);
-    let hello = serde_json::to_string(&hello).unwrap_or_default();
-    site.watchers.open(event("hello", &hello), link).ok_or_else(|| {
+    let (kind, json) = site.hub.at_bench(|bench, _| hello(bench));
+    site.watchers.open(event(kind, &json), link).ok_or_else(|| {
         let error = format!("{MAX_STREAMS} pages are open already; close one of them first");
         HttpError::new(StatusCode::SERVICE_UNAVAILABLE, error)
     })
@@ -433,15 +377,10 @@ async fn act(site: &Site, connection: &Connection, request: Request<Incoming>) -
     };
     match path.as_str() {
         "/" => return show_page(&request),
-        "/log" => {
-            let entries = hub.system_log().entries_from(0);
-            return Ok(json(&serde_json::json!({ "entries": entries }).to_string()));
-        }
-        "/log.txt" => return Ok(system_log_file(hub)),
         "/scripts" => {
             let answer = if is_post {
-                let limit = scripts::MAX_SCRIPT_BODY_LEN;
-                let body: ScriptBody = read_up_to(request, limit, scripts::SCRIPT_EXPECTED).await?;
+                let body = read(request, scripts::MAX_SCRIPT_BODY_LEN, scripts::SCRIPT_EXPECTED).await?;
+                let body: ScriptBody = parsed(&body, scripts::SCRIPT_EXPECTED)?;
                 if body.changes() {
                     check_age(Effect::Moves).await?;
                 }
@@ -449,65 +388,28 @@ async fn act(site: &Site, connection: &Connection, request: Request<Incoming>) -
             } else {
                 scripts::scripts(hub, None)?
             };
-            return Ok(json(&serde_json::json!(answer).to_string()));
-        }
-        "/frames" => {
-            let frames = site.editor.frames_from(0);
-            return Ok(json(&serde_json::json!({ "frames": frames }).to_string()));
-        }
-        "/frame" => {
-            let body: FrameBody = read(request, FRAME_EXPECTED).await?;
-            if body.commands() {
-                check_age(Effect::Moves).await?;
-            }
-            let frame = site.editor.take(&body)?;
-            return Ok(json(&serde_json::json!(frame).to_string()));
-        }
-        "/settings" => {
-            if is_post {
-                let body = read(request, SETTINGS_EXPECTED).await?;
-                check_age(Effect::Changes).await?;
-                change(hub, body)?;
-            }
-            return Ok(json(&serde_json::json!(settings(hub)?).to_string()));
-        }
-        "/restart" => {
-            check_age(Effect::Moves).await?;
-            restart(hub)?;
+            return Ok(of_control(crate::control::Answer::json(&answer)?));
         }
         // Shows a page whose WebSocket does not open whether the server would accept it.
-        "/events" if is_post => drop(open_events(site, Link::new())?),
+        "/events" if is_post => {
+            drop(open_events(site, Link::new())?);
+            return Ok(of_control(Action::State.execute(&mut Server(hub))?));
+        }
         "/events" => return show_events(site, connection, request),
-        "/command" => {
-            let body: CommandBody = read(request, COMMAND_EXPECTED).await?;
-            if !body.is_stop() {
-                check_age(Effect::Moves).await?;
-            }
-            body.execute(hub, &site.executed)?;
-        }
-        "/part" => {
-            let part = part(read(request, PART_EXPECTED).await?)?;
-            check_age(Effect::Changes).await?;
-            hub.set_part(part);
-        }
-        "/fault" => {
-            let FaultBody { fault, finger, on } = read(request, FAULT_EXPECTED).await?;
-            let fault = which_fault(hub, fault, finger)?;
-            check_age(Effect::Changes).await?;
-            hub.set_fault(fault, on);
-        }
-        "/line" => {
-            let faults = line_faults(&read(request, LINE_EXPECTED).await?)?;
-            check_age(Effect::Changes).await?;
-            hub.set_line_faults(faults);
-        }
-        path => {
-            if let Some((_, text)) = DOCUMENTS.iter().find(|(known, _)| *known == path) {
-                return Ok(file((*text).to_owned(), HeaderValue::from_static("attachment")));
-            }
-        }
+        _ => {}
     }
-    Ok(json(&state(hub)?))
+    if let Some((_, text)) = DOCUMENTS.iter().find(|(known, _)| *known == path) {
+        return Ok(file((*text).to_owned(), HeaderValue::from_static("attachment")));
+    }
+    let body = match expected(&path) {
+        Some(expected) if is_post => Some(read(request, MAX_BODY_LEN, expected).await?),
+        _ => is_post.then(Bytes::new),
+    };
+    let action = Action::of(&hub.config(), &path, body.as_deref())?;
+    if let Some(effect) = action.effect() {
+        check_age(effect).await?;
+    }
+    Ok(of_control(action.execute(&mut Server(hub))?))
 }
 
 /// Rejects a request whose path or method is not among these.
@@ -524,48 +426,56 @@ fn check_path(request: &Request<Incoming>, paths: &[(&str, Method)]) -> Result<(
     if !methods.contains(&request.method()) {
         let allowed = methods.iter().map(|method| method.as_str()).collect::<Vec<_>>().join(", ");
         let error = format!("{path} does not support {}; expected {allowed}", request.method());
-        return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed: Some(allowed) });
+        return Err(HttpError {
+            status: StatusCode::METHOD_NOT_ALLOWED.into(),
+            error,
+            allowed: Some(allowed),
+        });
     }
     Ok(())
 }
 
-/// Restarts the gripper once this request is answered.
-fn restart(hub: &Arc<Hub>) -> Result<(), HttpError> {
-    settings(hub)?;
-    let hub = Arc::clone(hub);
-    spawn_local(async move {
-        sleep(RESTART_DELAY).await;
-        hub.restart();
-    });
-    Ok(())
+/// The program around the control interface.
+struct Server<'a>(&'a Arc<Hub>);
+
+impl Host for Server<'_> {
+    fn at_bench<T>(&mut self, act: impl FnOnce(&mut Bench, Time) -> T) -> T {
+        self.0.at_bench(act)
+    }
+
+    fn settings(&mut self) -> Option<Vec<SettingState>> {
+        self.0.settings()
+    }
+
+    fn settings_file(&mut self) -> Option<String> {
+        self.0.settings_file()
+    }
+
+    fn change_settings(&mut self, changes: &Changes) -> Result<(), Refused> {
+        self.0.change_settings(changes)
+    }
+
+    fn restart(&mut self) {
+        let hub = Arc::clone(self.0);
+        spawn_local(async move {
+            sleep(RESTART_DELAY).await;
+            hub.restart();
+        });
+    }
 }
 
-/// Reads and parses the body of a request.
-async fn read<T: for<'a> Deserialize<'a>>(
-    request: Request<Incoming>,
-    expected: &str,
-) -> Result<T, HttpError> {
-    read_up_to(request, MAX_BODY_LEN, expected).await
-}
-
-/// The same for a body of at most this length.
-async fn read_up_to<T: for<'a> Deserialize<'a>>(
-    request: Request<Incoming>,
-    limit: usize,
-    expected: &str,
-) -> Result<T, HttpError> {
-    let body = match Limited::new(request.into_body(), limit).collect().await {
-        Ok(body) => body.to_bytes(),
+/// Reads the body of a request, of at most `limit` bytes.
+async fn read(request: Request<Incoming>, limit: usize, expected: &str) -> Result<Bytes, HttpError> {
+    match Limited::new(request.into_body(), limit).collect().await {
+        Ok(body) => Ok(body.to_bytes()),
         Err(error) if error.is::<LengthLimitError>() => {
             let error = format!("the body is too long; expected at most {limit} bytes");
-            return Err(HttpError::new(StatusCode::PAYLOAD_TOO_LARGE, error));
+            Err(HttpError::new(StatusCode::PAYLOAD_TOO_LARGE, error))
         }
         Err(error) => {
-            return Err(HttpError::wrong(format!("the body was not received: {error}; expected {expected}")));
+            Err(HttpError::wrong(format!("the body was not received: {error}; expected {expected}")))
         }
-    };
-    serde_json::from_slice(&body)
-        .map_err(|error| HttpError::wrong(format!("the body is invalid: {error}; expected {expected}")))
+    }
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Writes the log in a separate thread. The gripper never waits for a disk, a terminal or a blocked pipe.
 
+use crate::control::Sink;
 use std::io::{BufWriter, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
 use std::thread;
@@ -21,7 +22,7 @@ pub(super) struct LogWriter {
 }
 
 impl LogWriter {
-    pub(super) fn new(output: impl Write + Send + 'static) -> Self {
+    fn new(output: impl Write + Send + 'static) -> Self {
         let (lines, waiting) = sync_channel(MAX_WAITING);
         let (running, end) = channel();
         let thread = thread::Builder::new().name("wsg-sim log".to_owned()).spawn(move || {
@@ -38,8 +39,14 @@ impl LogWriter {
         Self { lines, lost: 0, end }
     }
 
+    /// Returns a writer for a log, which has written the rest once it is dropped.
+    pub(super) fn sink(output: impl Write + Send + 'static) -> Sink {
+        let mut writer = Self::new(output);
+        Box::new(move |line| writer.write(line))
+    }
+
     /// Queues a line with its line end, without waiting.
-    pub(super) fn write(&mut self, line: String) {
+    fn write(&mut self, line: String) {
         let Some(lines) = &self.lines else { return };
         if self.lost > 0 {
             let sent =

@@ -4,12 +4,16 @@ mod file;
 mod table;
 
 pub(in crate::server) use file::{save, toml_value};
-pub(in crate::server) use table::{GROUPS, Setting, settings};
+pub(in crate::server) use table::settings;
 
 use super::lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
-use crate::axis::{Direction, Part};
+use crate::axis::Direction;
 use crate::command_line::{self, LOOPBACK, address, after_scheme};
 use crate::config::{Config, Tag};
+use crate::control::words::{
+    MaybePart, check_limits, length, parsed, part, positive, soft_limits, time_scale,
+};
+use crate::control::{COMMAND, DEVICE, FIELDBUS, Given, MOTION, NETWORK};
 use crate::finger::Finger;
 use crate::model::Model;
 use crate::options_file::{self, value_name};
@@ -24,11 +28,9 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::net::{IpAddr, SocketAddr, SocketAddrV4};
 use std::path::PathBuf;
-use std::str::FromStr;
 use wsg_fieldbus::SilenceReaction;
+use wsg_protocol::SoftLimits;
 use wsg_protocol::can::Identifiers;
-use wsg_protocol::limits::Quantity;
-use wsg_protocol::{SoftLimits, SystemFlags};
 
 /// The default TCP address if no line is given: the gripper's own port, on this machine only.
 const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
@@ -39,13 +41,6 @@ const HELP: &str = "--help";
 
 /// Heading of the options that are no settings of the gripper: the page does not show them.
 const PROGRAM: &str = "Program";
-const COMMAND: &str = "Command interface";
-const MOTION: &str = "Motion configuration";
-const NETWORK: &str = "Network";
-const FIELDBUS: &str = "Fieldbus";
-const DEVICE: &str = "Device";
-/// The words given for each option, without its hyphens: none for a switch, several for an option that may be repeated.
-pub(in crate::server) type Given = BTreeMap<String, Vec<String>>;
 
 /// All options, in the form that the server takes.
 #[derive(Clone, Debug)]
@@ -69,9 +64,6 @@ const LINE: &str = "pty, unix:PATH or a device such as /dev/ttyUSB0 or COM3";
 const U16: &str = "a number from 0 to 65535";
 const LENGTH: &str = "a number from 0 to 1000";
 const POSITIVE: &str = "a number above 0";
-
-/// The part between the fingers, for an option that always has a value.
-type MaybePart = Option<Part>;
 
 /// A virtual gripper of the WSG series.
 #[derive(Debug, Parser)]
@@ -409,26 +401,9 @@ impl Arguments {
         check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")
     }
 
-    /// Checks speeds, acceleration and force against the limits of the model.
-    fn check_limits(&self) -> Result<()> {
-        for (option, quantity, value) in [
-            ("homing-speed", Quantity::Speed, self.homing_speed),
-            ("force", Quantity::Force, self.force),
-            ("acceleration", Quantity::Acceleration, self.acceleration),
-            ("speed", Quantity::Speed, Some(self.speed)),
-            ("release-speed", Quantity::Speed, self.release_speed),
-        ] {
-            let Some(value) = value else { continue };
-            let checked = self.model.parameters().limits.check(quantity, value, SystemFlags::empty());
-            checked.with_context(|| format!("invalid value for --{option} with --model {}", self.model))?;
-        }
-        Ok(())
-    }
-
     /// Combines related options and checks them against each other.
     fn options(self, file: Option<PathBuf>, given: Given) -> Result<Options> {
         self.check_effects()?;
-        self.check_limits()?;
         let can_bus = self.can.map(CanBus::Interface).or(self.slcan.map(CanBus::Slcan));
         let profinet = self.profinet.line(file.clone())?;
         let remote_port = self.udp_remote_port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
@@ -477,6 +452,7 @@ impl Arguments {
             updates_idle_s: self.updates_idle,
             ..default
         };
+        check_limits(&config).map_err(anyhow::Error::msg)?;
         let identifiers = self.can_id.unwrap_or(Identifiers::DEFAULT);
         let lines = Lines {
             tcp: if is_default_line { Some(DEFAULT_TCP) } else { self.tcp },
@@ -543,10 +519,6 @@ fn finger() -> impl TypedValueParser<Value = Finger> {
     one_of(Finger::ALL.iter().map(|finger| (finger.name(), *finger)).collect())
 }
 
-fn parsed<T: FromStr>(text: &str) -> Option<T> {
-    text.parse().ok()
-}
-
 fn not_empty(text: &str) -> Option<String> {
     (!text.is_empty()).then(|| text.to_owned())
 }
@@ -577,43 +549,6 @@ fn identifiers(text: &str) -> Option<Identifiers> {
         None => parsed(text)?,
     };
     Identifiers::from_base(n)
-}
-
-/// Parses a part; `none` is a valid value.
-fn part(text: &str) -> Option<MaybePart> {
-    if text == "none" {
-        return Some(None);
-    }
-    let mut numbers = text.split(':').map(parsed::<f32>);
-    let width = numbers.next()??;
-    let stiffness = numbers.next().unwrap_or(Some(Part::DEFAULT_STIFFNESS))?;
-    let part = Part::new(width, stiffness)?;
-    let part = match numbers.next() {
-        Some(inner_width) => part.with_inner_width(inner_width?)?,
-        None => part,
-    };
-    numbers.next().is_none().then_some(Some(part))
-}
-
-fn time_scale(text: &str) -> Option<f32> {
-    parsed(text).filter(|scale| (Config::MIN_TIME_SCALE..=Config::MAX_TIME_SCALE).contains(scale))
-}
-
-/// Parses a finite number above 0.
-fn positive(text: &str) -> Option<f32> {
-    parsed(text).filter(|value: &f32| value.is_finite() && *value > 0.0)
-}
-
-/// Parses a length in mm.
-fn length(text: &str) -> Option<f32> {
-    parsed(text).filter(|value| (0.0..=1_000.0).contains(value))
-}
-
-/// Parses soft limits in mm.
-fn soft_limits(text: &str) -> Option<SoftLimits> {
-    let (minus, plus) = text.split_once(':')?;
-    let limits = SoftLimits { minus: length(minus)?, plus: length(plus)? };
-    (limits.minus <= limits.plus).then_some(limits)
 }
 
 #[cfg(test)]

@@ -1,13 +1,18 @@
 //! The page in Chromium, which `cargo xtask test` installs. The tests click, type and inspect like a user.
+//!
+//! Most of them run with `wsg-sim`, and again with the page without a server, which `cargo xtask web` builds.
 
 mod functions;
 mod look;
+mod static_page;
 mod windows;
 
 use crate::common::program::Program;
 use crate::rig::connect;
 use browser::Tab;
+use rustix::process::Signal;
 use serde_json::{Value, json};
+use std::cell::Cell;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -32,14 +37,21 @@ enum Turn {
     Alone(#[expect(dead_code, reason = "held")] RwLockWriteGuard<'static, ()>),
 }
 
-/// A gripper with its page.
+thread_local! {
+    /// Whether the tests of this thread open the page without a server.
+    static IN_BROWSER: Cell<bool> = const { Cell::new(false) };
+}
+
+/// A gripper with its page: a program, or in the browser.
 struct Gripper {
     _turn: Turn,
-    _program: Program,
+    program: Option<Program>,
     tcp: String,
     modbus: String,
     /// The origin of the page.
     page: String,
+    /// The options of a gripper in the browser, each with a value.
+    options: Vec<String>,
 }
 
 impl Gripper {
@@ -59,17 +71,31 @@ impl Gripper {
     }
 
     fn start(_turn: Turn, control: &str, options: &[&str]) -> Self {
+        let [tcp, modbus] = [String::new(), String::new()];
+        if IN_BROWSER.get() {
+            let options = [&["--part", "20"], options].concat().into_iter().map(str::to_owned).collect();
+            return Self { _turn, program: None, tcp, modbus, page: static_page::address(), options };
+        }
         let lines = ["--tcp", "127.0.0.1:0", "--modbus", "127.0.0.1:0", "--control", control, "--part", "20"];
         let mut program = Program::start(&[&lines, options].concat());
         let [_, tcp, modbus, _, page] =
             ["model", "tcp", "modbus", "control", "page"].map(|name| program.place_of(name));
-        Self { _turn, _program: program, tcp, modbus, page: page.trim_end_matches('/').to_owned() }
+        let page = page.trim_end_matches('/').to_owned();
+        Self { _turn, program: Some(program), tcp, modbus, page, options: vec![] }
     }
 
     fn open(&self) -> Tab {
+        if self.program.is_none() {
+            return static_page::open(&self.page, &self.options);
+        }
         let mut tab = Tab::open(&self.page);
         tab.until("document.getElementById('values').childElementCount > 0");
         tab
+    }
+
+    /// Sends a signal to the program.
+    fn signal(&self, signal: Signal) {
+        self.program.as_ref().expect("a program").signal(signal);
     }
 
     /// Sends Acknowledge (24h) from a client, which stays connected.
@@ -77,6 +103,16 @@ impl Gripper {
         let mut client = connect(&self.tcp);
         client.write_all(&[0xAA, 0xAA, 0xAA, 0x24, 0x03, 0x00, 0x61, 0x63, 0x6B, 0xDC, 0xB9]).unwrap();
         client.read_exact(&mut [0; 10]).expect("an answer in time");
+        client
+    }
+
+    /// Connects a client, which the page shows; in the browser, that is the command editor.
+    fn connect_client(&self, tab: &mut Tab) -> Option<TcpStream> {
+        let client = self.program.as_ref().map(|_| self.acknowledge());
+        if client.is_none() {
+            tab.click("#send");
+        }
+        tab.until("document.getElementById('clients').childElementCount > 0");
         client
     }
 }
@@ -611,9 +647,9 @@ fn page_reports_a_lost_gripper_and_continues_when_it_returns() {
     assert_eq!(tab.eval("document.getElementById('message').textContent"), "");
 
     // A stopped process sends nothing, but its connection stays open.
-    gripper._program.signal(rustix::process::Signal::STOP);
+    gripper.signal(Signal::STOP);
     tab.until(&format!("{STATE} === 'no connection'"));
-    gripper._program.signal(rustix::process::Signal::CONT);
+    gripper.signal(Signal::CONT);
     tab.until(&format!("{STATE} === 'IDLE'"));
 }
 

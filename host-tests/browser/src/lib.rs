@@ -4,6 +4,10 @@
 //! It needs no port, and it ends with the tests in any case, because its pipe closes. Tests are ignored and have
 //! `in_chromium` in their names, by which `cargo xtask test` skips them where Chromium is missing.
 
+mod files;
+
+pub use files::serve;
+
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Write};
@@ -112,6 +116,45 @@ fn result(method: &str, id: u64, messages: &Receiver<Value>, mut pass: impl FnMu
         pass(message);
     }
 }
+
+/// An expression whose value is the list of layout defects of a page: elements that overflow, are cut off, overlap, or are hard to read.
+pub const PROBLEMS: &str = r#"(() => {
+    const problems = [], root = document.documentElement;
+    if (root.scrollWidth > root.clientWidth) problems.push("the page is wider than the window");
+    const name = element => element.tagName + " " + (element.id || element.textContent.trim().slice(0, 40));
+    const shown = [...document.querySelectorAll("header, section, h1, h2, p, li, dt, dd, th, td, button, input, select, summary, a, label, svg, text, ol, span")]
+        .filter(element => element.checkVisibility() && !element.closest(".hidden, datalist") && !element.closest("ol[tabindex], [role=region]")?.contains(element.parentElement))
+        .map(element => ({ element, box: element.getBoundingClientRect() }))
+        .filter(({ box }) => box.width > 0 && box.height > 0);
+    for (const { element, box } of shown) {
+        const around = element.parentElement.closest("svg, section, header, body").getBoundingClientRect();
+        if (box.left < around.left - 1 || box.right > around.right + 1 || box.top < around.top - 1 || box.bottom > around.bottom + 1)
+            problems.push(name(element) + " sticks out");
+        if (!element.matches("ol[tabindex], input, select") && element instanceof HTMLElement && element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0)
+            problems.push(name(element) + " is cut off");
+    }
+    shown.forEach(({ element: one, box: a }, at) => {
+        for (const { element: other, box: b } of shown.slice(at + 1)) {
+            const overlap = Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+            if (overlap && !one.contains(other) && !other.contains(one)) problems.push(name(one) + " and " + name(other) + " overlap");
+        }
+    });
+    const light = colour => {
+        const [red, green, blue] = colour.match(/[\d.]+/g).map(part => part / 255).map(part => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4);
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+    };
+    for (const { element } of shown) {
+        const hasText = element.value || [...element.childNodes].some(child => child.nodeType === 3 && child.data.trim());
+        if (!hasText) continue;
+        let behind = element;
+        while (/, 0\)$|transparent/.test(getComputedStyle(behind).backgroundColor)) behind = behind.parentElement;
+        const style = getComputedStyle(element);
+        const lights = [light(element instanceof SVGElement ? style.fill : style.color), light(getComputedStyle(behind).backgroundColor)].sort();
+        const contrast = (Math.max(...lights) + 0.05) / (Math.min(...lights) + 0.05);
+        if (contrast < 4.5) problems.push(name(element) + " has a contrast of " + contrast.toFixed(1));
+    }
+    return problems;
+})()"#;
 
 /// A window used by one test only.
 pub struct Tab {
@@ -322,6 +365,12 @@ impl Tab {
         bodies.filter(|body| body["command"] == name).collect()
     }
 
+    /// Returns a picture of the window as a PNG file.
+    pub fn picture(&mut self) -> Vec<u8> {
+        let shot = self.call("Page.captureScreenshot", &json!({"format": "png"}));
+        from_base64(shot["data"].as_str().expect("a picture"))
+    }
+
     /// Presses and releases the mouse at this place. Returns once the browser has passed both on.
     pub fn click_at(&mut self, place: &Value) {
         for kind in ["mousePressed", "mouseReleased"] {
@@ -332,6 +381,16 @@ impl Tab {
     }
 }
 
+/// Returns the processor time in s that all pages, and what draws them, have used.
+pub fn cpu_time() -> f64 {
+    let info = BROWSER.call("SystemInfo.getProcessInfo", &json!({}));
+    let processes = info["processInfo"].as_array().expect("processes").iter();
+    processes
+        .filter(|process| process["type"] != "browser")
+        .filter_map(|process| process["cpuTime"].as_f64())
+        .sum()
+}
+
 impl Drop for Tab {
     fn drop(&mut self) {
         BROWSER.readers.lock().unwrap_or_else(|error| error.into_inner()).remove(&self.session);
@@ -339,4 +398,20 @@ impl Drop for Tab {
             BROWSER.call("Target.closeTarget", &json!({"targetId": self.target}));
         }
     }
+}
+
+fn from_base64(text: &str) -> Vec<u8> {
+    const DIGITS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let digits = text.bytes().filter_map(|byte| DIGITS.iter().position(|digit| *digit == byte));
+    let mut bytes = Vec::new();
+    let (mut bits, mut count) = (0, 0);
+    for digit in digits {
+        (bits, count) = (bits << 6 | digit, count + 6);
+        if count >= 8 {
+            count -= 8;
+            bytes.push((bits >> count) as u8);
+            bits &= (1 << count) - 1;
+        }
+    }
+    bytes
 }

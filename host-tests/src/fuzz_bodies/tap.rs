@@ -11,8 +11,8 @@ const UP_TO_ID: usize = 4;
 
 /// A link and its traffic. A slow one starts a frame only in a millisecond with room up to its id, so the command is
 /// known at its first byte.
-pub(super) struct Tap<L> {
-    pub(super) link: L,
+pub(crate) struct Tap<L> {
+    pub(crate) link: L,
     /// Capacity of a slow link in bytes per millisecond.
     per_ms: Option<usize>,
     /// Remaining capacity in this millisecond.
@@ -27,7 +27,7 @@ pub(super) struct Tap<L> {
 }
 
 impl<L> Tap<L> {
-    pub(super) fn new(link: L, per_ms: Option<usize>) -> Self {
+    pub(crate) fn new(link: L, per_ms: Option<usize>) -> Self {
         Self {
             link,
             per_ms,
@@ -40,33 +40,33 @@ impl<L> Tap<L> {
         }
     }
 
-    pub(super) const fn is_slow(&self) -> bool {
+    pub(crate) const fn is_slow(&self) -> bool {
         self.per_ms.is_some()
     }
 
     /// Returns the link for one turn of the bridge.
-    pub(super) fn turn(&mut self) -> &mut Self {
+    pub(crate) fn turn(&mut self) -> &mut Self {
         self.left = self.per_ms.unwrap_or(usize::MAX);
         self
     }
 
     /// Returns the bytes that the bridge has read.
-    pub(super) fn take_received(&mut self) -> Vec<u8> {
+    pub(crate) fn take_received(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.received)
     }
 
     /// Returns the commands whose transmission has started on a slow link.
-    pub(super) fn take_begun(&mut self) -> Vec<CommandId> {
+    pub(crate) fn take_begun(&mut self) -> Vec<CommandId> {
         std::mem::take(&mut self.begun)
     }
 
     /// Returns the sent messages, all of which must be intact.
-    pub(super) fn take_messages(&mut self) -> Vec<Message> {
+    pub(crate) fn take_messages(&mut self) -> Vec<Message> {
         gripper_states::messages(&mut self.parser, &std::mem::take(&mut self.whole))
     }
 
     /// Drops the rest of the frame in transmission, unless it is a FAST STOP.
-    pub(super) fn cut(&mut self) {
+    pub(crate) fn cut(&mut self) {
         if self.frame.get(UP_TO_ID - 1) != Some(&CommandId::FastStop.code()) {
             self.frame.clear();
         }

@@ -21,7 +21,11 @@ fn tests_in(source: &str) -> Vec<String> {
     for line in source.lines().map(str::trim) {
         if line == "#[test]" || line.starts_with("#[tokio::test") {
             is_test = true;
-        } else if let Some(rest) = line.strip_prefix("async ").unwrap_or(line).strip_prefix("fn ") {
+        } else if let Some(rest) = ["pub(super) ", "async "]
+            .iter()
+            .fold(line, |line, word| line.strip_prefix(word).unwrap_or(line))
+            .strip_prefix("fn ")
+        {
             // A list for a macro names tests without parameters.
             let is_listed = rest.ends_with(';') && !rest.contains('(');
             if is_test || is_listed {

@@ -15,7 +15,7 @@ const LIMITS: [(&str, &str, &str); 11] = [
     ("of at most 5 s", "TIME_LIMIT: Duration = Duration::from_secs(5)", "gripper-sim/src/server/control.rs"),
     ("64 open pages", "MAX_STREAMS: usize = 64", "gripper-sim/src/server/control/events.rs"),
     ("32 masters", "MAX_MASTERS: usize = 32", "tool/src/gateway/bridge.rs"),
-    ("128 clients", "MAX_CLIENTS: usize = 128", "gripper-sim/src/server/hub.rs"),
+    ("128 clients", "MAX_CLIENTS: usize = 128", "gripper-sim/src/control/bench.rs"),
     (
         "300 s without a request",
         "IDLE_LIMIT: Duration = Duration::from_secs(300)",

@@ -1,6 +1,6 @@
 //! Who may send requests: the `Host` and `Origin` checks.
 
-use super::answer::HttpError;
+use crate::control::HttpError;
 use hyper::StatusCode;
 use hyper::header::{HOST, HeaderMap, HeaderValue, ORIGIN};
 use hyper::http::uri::Authority;
@@ -71,7 +71,7 @@ mod tests {
             for host in hosts {
                 headers.append(HOST, HeaderValue::from_str(host).unwrap());
             }
-            check_host(&headers, here, &names, "").map_err(|refused| refused.status.as_u16())
+            check_host(&headers, here, &names, "").map_err(|refused| refused.status)
         };
         for host in [
             "localhost",

@@ -1,12 +1,7 @@
-//! The age of requests. A request may wait in a browser, a proxy, a network or a stopped process, and would then run when
-//! its sender no longer expects it.
-//!
-//! `as_of` names the state that the sender saw, by the gripper's clock alone. A request that changes something is executed
-//! only if that state is at most a second old. Stop and FAST STOP are executed at any age.
+//! The age of requests by their senders: by the state that they name, or by the stalls of this program.
 
-use super::answer::HttpError;
+use crate::control::{Effect, HttpError, MAX_AGE_MS, check, lacking};
 use crate::server::hub::Hub;
-use crate::time::Time;
 use hyper::header::{HeaderMap, ORIGIN};
 use hyper::{StatusCode, Uri};
 use std::cell::Cell;
@@ -14,19 +9,14 @@ use std::net::IpAddr;
 use std::rc::Rc;
 use tokio::time::{Duration, Instant, MissedTickBehavior, interval};
 
-/// Maximum age of the state that the sender of a request saw.
-const MAX_AGE: Duration = Duration::from_secs(1);
+/// A shorter stall does not make a request too old.
+const MAX_AGE: Duration = Duration::from_millis(MAX_AGE_MS);
 /// Interval at which this program checks that it runs.
 const TURN: Duration = Duration::from_millis(100);
 /// Time after a stall in which a request may have waited for its end.
 const AFTER_STALL: Duration = Duration::from_millis(500);
 /// Headers by which a proxy says that it forwards the request of another machine.
 const FORWARDED: [&str; 4] = ["forwarded", "via", "x-forwarded-for", "x-real-ip"];
-
-/// Returns the name of the state at this time: the start of the gripper and the time since, in µs.
-pub(super) fn as_of(hub: &Hub, now: Time) -> String {
-    format!("{:016x}.{}", hub.run(), now.as_micros())
-}
 
 /// Returns `as_of` of a query.
 pub(super) fn as_of_in(uri: &Uri) -> Result<Option<&str>, HttpError> {
@@ -37,15 +27,6 @@ pub(super) fn as_of_in(uri: &Uri) -> Result<Option<&str>, HttpError> {
             })
         })
         .transpose()
-}
-
-/// What a request may do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Effect {
-    /// It moves the fingers, or permits it again.
-    Moves,
-    /// It changes something else.
-    Changes,
 }
 
 /// The sender of a request.
@@ -73,12 +54,10 @@ impl Sender {
         as_of: Option<&str>,
     ) -> Result<(), HttpError> {
         if let Some(as_of) = as_of {
-            return check(hub, effect, as_of);
+            return hub.at_bench(|bench, now| check(bench, now, effect, as_of));
         }
         if !self.is_local_program {
-            let error = "the request lacks as_of, by which its age is known; expected as_of of a state that is at most \
-                         1 s old, except with stop and fast_stop";
-            return Err(HttpError::new(StatusCode::PRECONDITION_REQUIRED, error.to_owned()));
+            return Err(lacking());
         }
         stalls.recent().map_or(Ok(()), |stall| {
             let error = format!(
@@ -88,30 +67,6 @@ impl Sender {
             Err(HttpError::new(StatusCode::SERVICE_UNAVAILABLE, error))
         })
     }
-}
-
-/// Rejects a request whose sender saw a state that is too old. A sender that has not seen the latest stop may not move the
-/// fingers, or acknowledge the stop.
-fn check(hub: &Hub, effect: Effect, as_of: &str) -> Result<(), HttpError> {
-    let seen = as_of.split_once('.').and_then(|(run, micros)| {
-        Some((u64::from_str_radix(run, 16).ok()?, Time::from_micros(micros.parse().ok()?)))
-    });
-    let now = hub.now();
-    let Some((run, at)) = seen.filter(|(run, at)| *run != hub.run() || *at <= now) else {
-        let error = format!("{as_of:?} names no state of this gripper; expected as_of of GET /state");
-        return Err(HttpError::wrong(error));
-    };
-    let age = Duration::from_micros(now.as_micros().saturating_sub(at.as_micros()));
-    let error = if run != hub.run() {
-        "the sender saw the gripper before its last start; read the state again".to_owned()
-    } else if age > MAX_AGE {
-        format!("the sender saw a state {:.1} s old; expected at most 1 s", age.as_secs_f64())
-    } else if effect == Effect::Moves && at < hub.stopped_at() {
-        "the sender has not seen the latest stop; read the state again".to_owned()
-    } else {
-        return Ok(());
-    };
-    Err(HttpError::new(StatusCode::PRECONDITION_FAILED, error))
 }
 
 /// Times in which this program did not run, for example because it was stopped or its machine was overloaded. Requests
@@ -153,6 +108,7 @@ impl Stalls {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::as_of;
     use hyper::header::HeaderValue;
     use tokio::task::{LocalSet, yield_now};
 
@@ -160,50 +116,7 @@ mod tests {
     const OTHER: Sender = Sender { is_local_program: false };
 
     fn status(checked: Result<(), HttpError>) -> Result<(), u16> {
-        checked.map_err(|refused| refused.status.as_u16())
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn state_that_the_sender_saw_is_at_most_a_second_old() {
-        let (hub, stalls) = (Hub::of_test(), Stalls::new());
-        let check = |as_of: &str| status(OTHER.check(&hub, &stalls, Effect::Moves, Some(as_of)));
-        tokio::time::advance(Duration::from_secs(10)).await;
-        let seen = as_of(&hub, hub.now());
-        assert_eq!(check(&seen), Ok(()));
-        tokio::time::advance(Duration::from_secs(1)).await;
-        assert_eq!(check(&seen), Ok(()));
-        tokio::time::advance(Duration::from_millis(1)).await;
-        assert_eq!(check(&seen), Err(412));
-    }
-
-    /// The time of a gripper begins again with each start.
-    #[tokio::test(start_paused = true)]
-    async fn state_of_another_start_or_an_invalid_one_is_refused() {
-        let (hub, stalls) = (Hub::of_test(), Stalls::new());
-        tokio::time::advance(Duration::from_secs(10)).await;
-        let check = |as_of: &str| status(OTHER.check(&hub, &stalls, Effect::Moves, Some(as_of)));
-        let earlier = Hub::of_test();
-        for at in [0, 9_999_999, 10_000_000, 10_000_001, u64::MAX] {
-            assert_eq!(check(&as_of(&earlier, Time::from_micros(at))), Err(412), "{at}");
-        }
-        for never in [&as_of(&hub, hub.now().plus_micros(1)), "", ".", "1", "x.1", "-1.5", "1.-5", "1.1.1"] {
-            assert_eq!(check(never), Err(400), "{never}");
-        }
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn state_from_before_a_stop_is_refused() {
-        use wsg_protocol::Command;
-        let (hub, stalls) = (Hub::of_test(), Stalls::new());
-        for stop in [Command::Stop, Command::FastStop] {
-            let before = as_of(&hub, hub.now());
-            tokio::time::advance(Duration::from_millis(1)).await;
-            hub.command(None, &stop);
-            assert_eq!(status(OTHER.check(&hub, &stalls, Effect::Moves, Some(&before))), Err(412));
-            assert_eq!(status(OTHER.check(&hub, &stalls, Effect::Changes, Some(&before))), Ok(()));
-            let after = as_of(&hub, hub.now());
-            assert_eq!(status(OTHER.check(&hub, &stalls, Effect::Moves, Some(&after))), Ok(()));
-        }
+        checked.map_err(|refused| refused.status)
     }
 
     #[tokio::test(start_paused = true)]
@@ -222,7 +135,7 @@ mod tests {
             // Before the watch notices the stall, and after it.
             tokio::time::advance(Duration::from_secs(3)).await;
             assert_eq!(status(LOCAL.check(&hub, &stalls, Effect::Moves, None)), Err(503));
-            let seen = as_of(&hub, hub.now());
+            let seen = hub.at_bench(|bench, now| as_of(bench, now));
             assert_eq!(status(LOCAL.check(&hub, &stalls, Effect::Moves, Some(&seen))), Ok(()));
             yield_now().await;
             assert_eq!(status(LOCAL.check(&hub, &stalls, Effect::Moves, None)), Err(503));

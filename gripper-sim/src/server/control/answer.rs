@@ -1,11 +1,12 @@
 //! Answers of the control interface, and the reasons of rejected requests.
 
 use super::events::Events;
+use crate::control::{self, HttpError};
 use http_body_util::{Either, Full};
 use hyper::body::Bytes;
 use hyper::header::{
-    ALLOW, CACHE_CONTROL, CONNECTION, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
-    X_CONTENT_TYPE_OPTIONS,
+    ALLOW, CACHE_CONTROL, CONNECTION, CONTENT_DISPOSITION, CONTENT_TYPE, HeaderName, HeaderValue,
+    REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
 };
 use hyper::{Response, StatusCode};
 
@@ -18,8 +19,9 @@ const PRIVATE: [(HeaderName, &str); 3] =
 /// Returns the answer, or the reason of a rejection, with the headers of every answer.
 pub(super) fn finished(answer: Result<Answer, HttpError>) -> Answer {
     let mut response = answer.unwrap_or_else(|HttpError { status, error, allowed }| {
-        let mut response = json(&serde_json::json!({ "error": error }).to_string());
-        *response.status_mut() = status;
+        let json = serde_json::json!({ "error": error }).to_string();
+        let mut response = of_control(control::Answer::of_json(json));
+        *response.status_mut() = StatusCode::from_u16(status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         if let Some(method) = allowed.and_then(|allowed| HeaderValue::from_str(&allowed).ok()) {
             response.headers_mut().insert(ALLOW, method);
         }
@@ -34,31 +36,25 @@ pub(super) fn finished(answer: Result<Answer, HttpError>) -> Answer {
     response
 }
 
-pub(super) fn json(body: &str) -> Answer {
-    whole(format!("{body}\n"), HeaderValue::from_static("application/json"))
+/// Returns an answer of the control interface.
+pub(super) fn of_control(answer: control::Answer) -> Answer {
+    match answer {
+        control::Answer::Json(json) => whole(json, HeaderValue::from_static("application/json")),
+        control::Answer::LogFile(text) => {
+            file(text, HeaderValue::from_static("attachment; filename=\"wsg-system-log.txt\""))
+        }
+    }
+}
+
+/// Returns a text that a browser saves as a file.
+pub(super) fn file(text: String, disposition: HeaderValue) -> Answer {
+    let mut response = whole(text, HeaderValue::from_static("text/plain; charset=utf-8"));
+    response.headers_mut().insert(CONTENT_DISPOSITION, disposition);
+    response
 }
 
 pub(super) fn whole(body: String, content_type: HeaderValue) -> Answer {
     let mut response = Response::new(Either::Left(Full::new(Bytes::from(body))));
     response.headers_mut().insert(CONTENT_TYPE, content_type);
     response
-}
-
-/// A rejected request, with a reason for its sender.
-#[derive(Debug)]
-pub(super) struct HttpError {
-    pub(super) status: StatusCode,
-    pub(super) error: String,
-    /// The methods that the path supports, for the header `Allow`.
-    pub(super) allowed: Option<String>,
-}
-
-impl HttpError {
-    pub(super) const fn new(status: StatusCode, error: String) -> Self {
-        Self { status, error, allowed: None }
-    }
-
-    pub(super) const fn wrong(error: String) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, error)
-    }
 }

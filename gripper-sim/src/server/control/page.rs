@@ -1,19 +1,21 @@
-//! The page: plain files, delivered as one document with its style and script, and its content security policy.
+//! The page: plain files, delivered as one document with its style and scripts, and its content security policy. `cargo xtask web`
+//! copies the same files for a page without a server.
 
 use std::hash::{BuildHasher, RandomState};
 
 const PAGE: &str = include_str!("page/index.html");
 const STYLE: &str = include_str!("page/style.css");
-/// The parts of the script, in order: `core.js` defines what the others use, and `logs.js` starts the page.
-const SCRIPT: [&str; 8] = [
-    include_str!("page/core.js"),
-    include_str!("page/operate.js"),
-    include_str!("page/plot.js"),
-    include_str!("page/settings.js"),
-    include_str!("page/fieldbus.js"),
-    include_str!("page/editor.js"),
-    include_str!("page/scripts.js"),
-    include_str!("page/logs.js"),
+/// The scripts that the page names.
+const SCRIPTS: [(&str, &str); 9] = [
+    ("over_http.js", include_str!("page/over_http.js")),
+    ("core.js", include_str!("page/core.js")),
+    ("operate.js", include_str!("page/operate.js")),
+    ("plot.js", include_str!("page/plot.js")),
+    ("settings.js", include_str!("page/settings.js")),
+    ("fieldbus.js", include_str!("page/fieldbus.js")),
+    ("editor.js", include_str!("page/editor.js")),
+    ("scripts.js", include_str!("page/scripts.js")),
+    ("logs.js", include_str!("page/logs.js")),
 ];
 /// Placeholder for the nonce in the page.
 const PLACE: &str = "{{nonce}}";
@@ -25,7 +27,14 @@ pub(super) fn page(host: &str) -> (String, String) {
     let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b".:-[]".contains(&byte);
     let sockets =
         if host.bytes().all(is_name) { format!(" ws://{host} wss://{host}") } else { String::new() };
-    guarded(&PAGE.replace("{{style}}", STYLE).replace("{{script}}", &SCRIPT.concat()), &sockets)
+    // One document, because a browser has few connections to a server.
+    let style = format!("<style nonce=\"{PLACE}\">{STYLE}</style>");
+    let page = PAGE.replace("<link rel=\"stylesheet\" href=\"style.css\">", &style);
+    let page = SCRIPTS.iter().fold(page, |page, (name, text)| {
+        let inline = format!("<script nonce=\"{PLACE}\">\n{text}</script>");
+        page.replace(&format!("<script src=\"{name}\"></script>"), &inline)
+    });
+    guarded(&page, &sockets)
 }
 
 /// Returns a page with its nonce, and its content security policy. `sockets` are further places to which it may connect.
@@ -56,7 +65,8 @@ mod tests {
             let page = page.replace("http://www.w3.org/2000/svg", "");
             assert!(!page.contains(foreign), "{foreign}");
         }
-        assert!(!page.contains("{{"), "each placeholder is replaced");
+        let is_inline = ["{{", "src=", "rel=\"stylesheet\""].iter().all(|file| !page.contains(file));
+        assert!(is_inline, "each placeholder and each file is replaced");
         let (_, other) = super::page("user;script-src *@localhost");
         assert!(other.contains(" connect-src 'self'; "), "{other}");
         assert_ne!(policy, other, "each nonce is used only once");

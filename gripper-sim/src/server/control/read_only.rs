@@ -2,9 +2,10 @@
 //! connections of the control interface, and `Host` and `Origin` are checked in the same way.
 
 use super::access::{check_host, check_origin};
-use super::answer::{Answer, HttpError, finished, whole};
+use super::answer::{Answer, finished, whole};
 use super::page::guarded;
 use super::{MAX_HEAD_LEN, check_path, document, serve_connections};
+use crate::control::HttpError;
 use anyhow::Result;
 use hyper::body::Incoming;
 use hyper::header::HeaderValue;

@@ -1,6 +1,6 @@
 //! The scripts in the folder of `--scripts`: list, read, save, delete, run, stop, and the script that runs at the start.
 
-use super::answer::HttpError;
+use crate::control::HttpError;
 use crate::server::folder;
 use crate::server::hub::{Changes, Hub, OutputLine, Refused, ScriptReport};
 use crate::server::script::Script;

@@ -3,8 +3,9 @@
 //! The tabs of a browser share six HTTP connections to a server. Endless streams and hung requests use them up, and a
 //! FAST STOP would wait in the browser. WebSockets have a limit of their own, of 200 or more.
 
-use super::answer::{Answer, HttpError};
+use super::answer::Answer;
 use super::events::Events;
+use crate::control::HttpError;
 use futures_util::{SinkExt, StreamExt};
 use http_body_util::{Either, Full};
 use hyper::Request;

@@ -1,69 +1,20 @@
 //! What the gripper knows about its script: one at a time, in a thread of its own, with its output and how it ended.
 
-use super::{Hub, PAGE, SCRIPT, Shared, lock};
+use super::{Hub, Shared, lock};
+pub(in crate::server) use crate::control::{OutputLine, Run, ScriptReport};
+use crate::control::{PAGE, RunState, SCRIPT, Severity};
 use crate::port::PortId;
 use crate::script::{ScriptRequest, ScriptState};
-use crate::server::system_log::Severity;
-use serde::Serialize;
-use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::PoisonError;
 use tokio::time::Duration;
-
-/// Maximum number of lines of output that are kept.
-const MAX_LINES: usize = 200;
-
-/// Identifies one run of a script. Only the latest run has access to the gripper.
-pub(in crate::server) type Run = u64;
-
-/// The script that runs or ran last.
-#[derive(Debug, Default)]
-pub(super) struct LatestScript {
-    run: Run,
-    report: ScriptReport,
-    output: VecDeque<OutputLine>,
-    /// The number of the next line of output.
-    next_line: u64,
-}
-
-/// The state of the latest script.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub(in crate::server) struct ScriptReport {
-    /// Grows with each change, so that an answer and an event can be put in order.
-    revision: u64,
-    /// Empty before the first script.
-    name: String,
-    state: RunState,
-    /// The error that ended the script.
-    error: Option<String>,
-    /// The line of that error, if it is in the script.
-    line: Option<u32>,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-enum RunState {
-    #[default]
-    None,
-    Running,
-    Ended,
-    Stopped,
-    Failed,
-}
-
-/// A line of output.
-#[derive(Clone, Debug, Serialize)]
-pub(in crate::server) struct OutputLine {
-    pub(in crate::server) number: u64,
-    text: String,
-}
 
 impl Hub {
     /// Begins a run. It ends the earlier one, if that still runs.
     pub(in crate::server) fn begin_script(&self, name: &str) -> Run {
         self.stop_script();
         let mut shared = self.lock();
-        let latest = &mut shared.script;
+        let latest = &mut shared.bench.script;
         latest.run += 1;
         latest.output.clear();
         latest.report =
@@ -81,11 +32,11 @@ impl Hub {
         if is_over(&shared, run) {
             return;
         }
-        let report = &mut shared.script.report;
+        let report = &mut shared.bench.script.report;
         report.state = if error.is_some() { RunState::Failed } else { RunState::Ended };
         report.error = error.map(str::to_owned);
         report.line = error.and_then(|error| line_of(&report.name, error));
-        shared.script.run += 1;
+        shared.bench.script.run += 1;
         drop(shared);
         let (severity, text) = match error {
             None => (Severity::Info, "ended".to_owned()),
@@ -101,7 +52,7 @@ impl Hub {
     pub(in crate::server) fn stop_script(&self) -> bool {
         let _gate = lock(&self.script_gate);
         let mut shared = self.lock();
-        let latest = &mut shared.script;
+        let latest = &mut shared.bench.script;
         if latest.report.state != RunState::Running {
             return false;
         }
@@ -129,20 +80,12 @@ impl Hub {
     /// Writes a line of output to the log, and keeps it for pages.
     pub(in crate::server) fn script_output(&self, text: &str) {
         self.note_of(SCRIPT, format_args!("{text}"));
-        let LatestScript { output, next_line, .. } = &mut self.lock().script;
-        if output.len() >= MAX_LINES {
-            output.pop_front();
-        }
-        output.push_back(OutputLine { number: *next_line, text: text.to_owned() });
-        *next_line += 1;
+        self.lock().bench.script.keep(text);
     }
 
     /// Returns the state of the latest script, and its output from this line on.
     pub(in crate::server) fn script_report(&self, from: u64) -> (ScriptReport, Vec<OutputLine>) {
-        let shared = self.lock();
-        let LatestScript { run, report, output, .. } = &shared.script;
-        let report = ScriptReport { revision: *run, ..report.clone() };
-        (report, output.iter().filter(|line| line.number >= from).cloned().collect())
+        self.lock().bench.script.report(from)
     }
 
     /// Returns the folder with the scripts that the page may use.
@@ -162,7 +105,7 @@ impl Hub {
             if is_over(&shared, run) {
                 return None;
             }
-            if let Some(request) = shared.gripper.take_script_request() {
+            if let Some(request) = shared.bench.gripper_mut().take_script_request() {
                 return Some(request);
             }
             shared = self.script_waits.wait(shared).unwrap_or_else(PoisonError::into_inner);
@@ -178,16 +121,12 @@ impl Hub {
 
     /// Returns this client and its interface, or, after its end, the first client of the binary protocol and its interface.
     pub(in crate::server) fn script_client(&self, id: Option<PortId>) -> Option<(PortId, String)> {
-        let shared = self.lock();
-        let mut clients = shared.clients.values();
-        let client = clients.clone().find(|client| Some(client.id) == id);
-        let client = client.or_else(|| clients.find(|client| client.kind.is_binary()));
-        client.map(|client| (client.id, client.kind.to_string()))
+        self.lock().bench.script_client(id)
     }
 }
 
 fn is_over(shared: &Shared, run: Run) -> bool {
-    shared.is_off || shared.script.run != run
+    shared.bench.is_off || shared.bench.script.run != run
 }
 
 /// Returns the line of an error in this script: `NAME:LINE: TEXT`.

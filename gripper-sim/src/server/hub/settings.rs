@@ -1,12 +1,10 @@
 //! Settings that change while the gripper runs, and its restart.
 
-use super::{Hub, PAGE, lock};
+use super::{Hub, lock};
 use crate::config::Tag;
-use crate::server::options::{Options, Setting, save, settings, toml_value};
-use crate::server::system_log::Severity;
-use std::collections::BTreeMap;
-use std::sync::atomic::Ordering;
-use wsg_protocol::Status;
+pub(in crate::server) use crate::control::{Changes, Refused};
+use crate::control::{PAGE, SettingState, Severity, changed_settings};
+use crate::server::options::{Options, save, settings, toml_value};
 
 /// The options with which the gripper runs.
 #[derive(Clone, Debug)]
@@ -23,48 +21,12 @@ impl Running {
     }
 }
 
-/// A setting with its value.
-#[derive(Debug)]
-pub(in crate::server) struct SettingState {
-    pub(in crate::server) row: &'static Setting,
-    /// The given words; `None` for the default.
-    pub(in crate::server) given: Option<Vec<String>>,
-    /// Whether the value counts after the next restart only.
-    pub(in crate::server) is_pending: bool,
-}
-
-/// Changed settings: new words, none for a switch that is on, `None` for the default.
-pub(in crate::server) type Changes = BTreeMap<String, Option<Vec<String>>>;
-
-/// Why settings cannot change.
-#[derive(Debug)]
-pub(in crate::server) enum Refused {
-    /// The server was started by a program of its own, without options.
-    NoOptions,
-    /// A value is invalid, in one line.
-    Invalid(String),
-    /// A motion runs whose settings would change.
-    Moving,
-    /// The settings are in effect, but the file cannot be written.
-    NotSaved(String),
-}
-
 impl Hub {
     /// Returns every setting; `None` for a server without options.
     pub(in crate::server) fn settings(&self) -> Option<Vec<SettingState>> {
         let running = lock(self.running.as_ref()?);
         let Running { options, at_start } = &*running;
-        let state = |row: &'static Setting| {
-            let given = options.given.get(&row.name).cloned();
-            let is_pending = !row.is_at_once && given.as_ref() != at_start.given.get(&row.name);
-            SettingState { row, given, is_pending }
-        };
-        Some(settings().iter().map(state).collect())
-    }
-
-    /// Returns a number that changes with the settings.
-    pub(in crate::server) fn settings_revision(&self) -> u64 {
-        self.settings_revision.load(Ordering::Relaxed)
+        Some(SettingState::all(settings(), &options.given, &at_start.given))
     }
 
     /// Returns the file in which settings are saved.
@@ -79,27 +41,14 @@ impl Hub {
         let mut running = lock(running);
         let invalid = |error: anyhow::Error| Refused::Invalid(format!("{error:#}"));
         let options = running.options.with(changes).map_err(invalid)?;
-        let status = self.act(|gripper, now| gripper.reconfigure(&options.config, now));
-        if status != Status::Success {
+        if !self.at_bench(|bench, now| bench.reconfigure(&options.config, now)) {
             return Err(Refused::Moving);
         }
-        let config = self.config();
-        if let Some(log) = &mut self.lock().log {
-            log.reconfigure(&config);
-        }
-        let value = |words: &Vec<String>| if words.is_empty() { "on".to_owned() } else { words.join(", ") };
-        let text = |words: Option<&Vec<String>>| words.map_or_else(|| "default".to_owned(), value);
-        let changed: Vec<&String> = changes
-            .keys()
-            .filter(|name| running.options.given.get(*name) != options.given.get(*name))
-            .collect();
-        for name in &changed {
-            let [before, now] = [&running.options, &options].map(|options| text(options.given.get(*name)));
-            self.report_event(Severity::Info, PAGE, &format!("setting {name}: {before} -> {now}"));
-        }
+        let changed = changed_settings(changes, &running.options.given, &options.given, |text| {
+            self.report_event(Severity::Info, PAGE, text);
+        });
         let saved = self.save_settings(&options, &changed);
         running.options = options;
-        self.settings_revision.fetch_add(1, Ordering::Relaxed);
         saved.map_err(Refused::NotSaved)
     }
 
@@ -161,13 +110,20 @@ impl Hub {
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+    use crate::control::SystemLog;
     use crate::server::lines::Profile;
-    use crate::server::system_log::SystemLog;
 
     #[test]
     fn station_name_set_by_a_controller_is_not_pending() {
         let options = Options::parse(vec!["--profinet".into(), "eth0".into()]).unwrap();
-        let hub = Hub::new(options.config, Profile::Instant, 0, None, SystemLog::default(), Some(&options));
+        let hub = Hub::new(
+            options.config,
+            Profile::Instant,
+            0,
+            None,
+            SystemLog::new(String::new, None),
+            Some(&options),
+        );
         hub.remember(&Changes::from([("station".to_owned(), Some(vec!["wsg-7".to_owned()]))]));
         let settings = hub.settings().unwrap();
         let station = settings.iter().find(|setting| setting.row.name == "station").unwrap();

@@ -1,12 +1,10 @@
 //! The table of settings: the options of the command line without the program's own. The page and the control interface
 //! are derived from it.
 
-use super::{COMMAND, DEVICE, FIELDBUS, MOTION, NETWORK, definition, one_line, value_name};
+use super::{definition, one_line, value_name};
+use crate::control::{GROUPS, Setting};
 use clap::{Arg, ArgAction, Command};
 use std::sync::LazyLock;
-
-/// The groups of settings on the page, in order.
-pub(in crate::server) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE];
 
 /// The settings that take effect without a restart. Most lines and the values at power-up need one.
 pub(super) const AT_ONCE: [&str; 18] = [
@@ -29,25 +27,6 @@ pub(super) const AT_ONCE: [&str; 18] = [
     "part",
     "time-scale",
 ];
-
-/// One row of the table of settings.
-#[derive(Debug)]
-pub(in crate::server) struct Setting {
-    pub(in crate::server) name: String,
-    pub(in crate::server) group: &'static str,
-    pub(in crate::server) meaning: String,
-    /// The default, as the help writes it; empty without one.
-    pub(in crate::server) default: String,
-    /// The unit, or the form of the value. `None` for a switch.
-    pub(in crate::server) unit: Option<&'static str>,
-    /// The possible values, if they are few.
-    pub(in crate::server) choices: Vec<String>,
-    /// The accepted values, in the words of the error; empty for a free text.
-    pub(in crate::server) expected: String,
-    pub(in crate::server) is_at_once: bool,
-    /// Whether the value is a list.
-    pub(in crate::server) is_list: bool,
-}
 
 /// Returns the table of settings, which is built once: it takes longer than a line may wait.
 pub(in crate::server) fn settings() -> &'static [Setting] {

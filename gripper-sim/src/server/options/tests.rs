@@ -2,6 +2,8 @@
 
 use super::table::AT_ONCE;
 use super::*;
+use crate::axis::Part;
+use crate::control::words;
 
 fn options(arguments: &[&str]) -> Result<Options> {
     Options::parse(arguments.iter().map(OsString::from).collect())
@@ -410,4 +412,36 @@ fn settings_change_one_by_one_and_return_to_their_defaults() {
         let error = format!("{:#}", change(name, Some(&[word])).unwrap_err());
         assert!(error.contains(expected) && !error.contains('\n'), "{error}");
     }
+}
+
+/// A page without a server has no command line: it has the table, and its own parser of the settings of the gripper.
+#[test]
+fn page_without_a_server_has_the_same_settings() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/control/settings.json");
+    let table = serde_json::to_string_pretty(settings()).unwrap() + "\n";
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
+        std::fs::write(file, &table).unwrap();
+    }
+    assert_eq!(std::fs::read_to_string(file).unwrap(), table, "set WSG_UPDATE_DOCS=1 to write the table");
+    let mut known = 0;
+    for row in settings() {
+        for word in
+            ["", "1", "30", "0x20", "out", "in", "none", "fmf", "20:100:15", "10:90", "wsg32", "stop", "a\nb"]
+        {
+            let words = if row.unit.is_some() { vec![word.to_owned()] } else { vec![] };
+            let option =
+                words.first().map_or(format!("--{}", row.name), |word| format!("--{}={word}", row.name));
+            let by_command_line = Options::parse(vec![option.into()]).map(|options| options.config);
+            let mut config = Config::default();
+            if words::set(&mut config, &row.name, &words)
+                .is_some_and(|()| words::check_limits(&config).is_ok())
+            {
+                known += 1;
+                assert_eq!(by_command_line.unwrap(), config, "{} {word:?}", row.name);
+            } else if words::is_of_gripper(&row.name) {
+                assert!(by_command_line.is_err(), "{} {word:?}", row.name);
+            }
+        }
+    }
+    assert!(known > 60, "{known}");
 }

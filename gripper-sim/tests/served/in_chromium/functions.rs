@@ -31,7 +31,7 @@ fn is_refused(id: &str) -> String {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn each_command_shows_its_result_and_a_refusal_moves_nothing() {
+pub(super) fn each_command_shows_its_result_and_a_refusal_moves_nothing() {
     in_each_size(&["--time-scale", "20"], |_, tab| {
         let place = "document.getElementById('results').getBoundingClientRect().top + scrollY";
         let before = tab.eval(place);
@@ -62,7 +62,7 @@ fn each_command_shows_its_result_and_a_refusal_moves_nothing() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn inputs_show_what_the_gripper_has() {
+pub(super) fn inputs_show_what_the_gripper_has() {
     in_each_size(&["--part", "33:70", "--force", "25"], |_, tab| {
         let value = |id: &str| format!("document.getElementById('{id}').value");
         tab.until(&format!(
@@ -76,9 +76,8 @@ fn inputs_show_what_the_gripper_has() {
         let other = tab.eval(
             r#"(async () => {
                 for (;;) {
-                    const part = { method: "POST", body: '{"width_mm":44,"inner_width_mm":30}' };
-                    const answer = await fetch("/part?as_of=" + asOf, part);
-                    if (answer.status !== 412) { return answer.ok; }
+                    const { status } = await send("/part", { width_mm: 44, inner_width_mm: 30 });
+                    if (status !== 412) { return status === 200; }
                     await new Promise(later => setTimeout(later, 50));
                 }
             })()"#,
@@ -90,7 +89,7 @@ fn inputs_show_what_the_gripper_has() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn plot_has_a_history_a_cursor_and_a_pause() {
+pub(super) fn plot_has_a_history_a_cursor_and_a_pause() {
     in_each_size(&["--time-scale", "20"], |gripper, tab| {
         home(tab);
         grip(tab);
@@ -118,7 +117,7 @@ fn plot_has_a_history_a_cursor_and_a_pause() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn settings_are_changed_by_keys_and_refused_in_place() {
+pub(super) fn settings_are_changed_by_keys_and_refused_in_place() {
     let file = std::env::temp_dir().join(format!("wsg-page-{}.toml", std::process::id()));
     for (width, height) in SIZES {
         std::fs::write(&file, "# A cell\n").unwrap();
@@ -166,7 +165,7 @@ fn settings_are_changed_by_keys_and_refused_in_place() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn editor_previews_sends_and_decodes() {
+pub(super) fn editor_previews_sends_and_decodes() {
     in_each_size(&["--time-scale", "20"], |_, tab| {
         tab.fill("#frame-command", "0x06");
         tab.fill("#frame-payload", "1 0x20 150.0f \"ab\"");

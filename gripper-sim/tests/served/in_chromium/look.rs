@@ -2,49 +2,10 @@
 
 use super::{Gripper, PAGES, STATE, flag_is_on, grip, home};
 use crate::rig::connect;
-use browser::Tab;
+use browser::{PROBLEMS, Tab};
 use serde_json::json;
 use std::io::{Read, Write};
 use std::path::Path;
-
-/// Layout defects of the page: elements that overflow, are cut off, overlap, or are hard to read.
-const PROBLEMS: &str = r#"(() => {
-    const problems = [], root = document.documentElement;
-    if (root.scrollWidth > root.clientWidth) problems.push("the page is wider than the window");
-    const name = element => element.tagName + " " + (element.id || element.textContent.trim().slice(0, 40));
-    const shown = [...document.querySelectorAll("header, section, h1, h2, p, li, dt, dd, th, td, button, input, select, summary, a, label, svg, text, ol, span")]
-        .filter(element => element.checkVisibility() && !element.closest(".hidden, datalist") && !element.closest("ol[tabindex]")?.contains(element.parentElement))
-        .map(element => ({ element, box: element.getBoundingClientRect() }))
-        .filter(({ box }) => box.width > 0 && box.height > 0);
-    for (const { element, box } of shown) {
-        const around = element.parentElement.closest("svg, section, header, body").getBoundingClientRect();
-        if (box.left < around.left - 1 || box.right > around.right + 1 || box.top < around.top - 1 || box.bottom > around.bottom + 1)
-            problems.push(name(element) + " sticks out");
-        if (!element.matches("ol[tabindex], input, select") && element instanceof HTMLElement && element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0)
-            problems.push(name(element) + " is cut off");
-    }
-    shown.forEach(({ element: one, box: a }, at) => {
-        for (const { element: other, box: b } of shown.slice(at + 1)) {
-            const overlap = Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
-            if (overlap && !one.contains(other) && !other.contains(one)) problems.push(name(one) + " and " + name(other) + " overlap");
-        }
-    });
-    const light = colour => {
-        const [red, green, blue] = colour.match(/[\d.]+/g).map(part => part / 255).map(part => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4);
-        return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
-    };
-    for (const { element } of shown) {
-        const hasText = element.value || [...element.childNodes].some(child => child.nodeType === 3 && child.data.trim());
-        if (!hasText) continue;
-        let behind = element;
-        while (/, 0\)$|transparent/.test(getComputedStyle(behind).backgroundColor)) behind = behind.parentElement;
-        const style = getComputedStyle(element);
-        const lights = [light(element instanceof SVGElement ? style.fill : style.color), light(getComputedStyle(behind).backgroundColor)].sort();
-        const contrast = (Math.max(...lights) + 0.05) / (Math.min(...lights) + 0.05);
-        if (contrast < 4.5) problems.push(name(element) + " has a contrast of " + contrast.toFixed(1));
-    }
-    return problems;
-})()"#;
 
 /// Window sizes and colour schemes that the page supports.
 const LOOKS: [(u32, u32, &str); 4] =
@@ -67,13 +28,12 @@ fn sizes() -> impl Iterator<Item = (u32, u32, &'static str)> {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn layout_fits_and_text_has_contrast_in_light_and_dark() {
+pub(super) fn layout_fits_and_text_has_contrast_in_light_and_dark() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);
     grip(&mut tab);
-    let _client = gripper.acknowledge();
-    tab.until("document.getElementById('clients').childElementCount > 0");
+    let _client = gripper.connect_client(&mut tab);
     for size in sizes() {
         check(&mut tab, size, "");
     }
@@ -105,7 +65,7 @@ const MOST_HEIGHT: u64 = 2_400;
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn pages_are_short_on_a_telephone() {
+pub(super) fn pages_are_short_on_a_telephone() {
     let gripper = Gripper::new(&[]);
     let mut tab = gripper.open();
     tab.look(390, 844, "light");
@@ -142,9 +102,7 @@ fn documents_have_pictures_of_the_page() {
             look(&mut tab, size);
             tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
             tab.call("Input.dispatchMouseEvent", &json!({"type": "mouseMoved", "x": 0, "y": 0}));
-            let shot = tab.call("Page.captureScreenshot", &json!({"format": "png"}));
-            let png = from_base64(shot["data"].as_str().unwrap());
-            std::fs::write(docs.join(picture(size)), png).unwrap();
+            std::fs::write(docs.join(picture(size)), tab.picture()).unwrap();
         }
         show_something(&gripper, &mut tab);
         look(&mut tab, LOOKS[0]);
@@ -152,9 +110,7 @@ fn documents_have_pictures_of_the_page() {
         for page in PICTURED {
             tab.show(page);
             tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
-            let shot = tab.call("Page.captureScreenshot", &json!({"format": "png"}));
-            let png = from_base64(shot["data"].as_str().unwrap());
-            std::fs::write(docs.join(format!("page-{page}.png")), png).unwrap();
+            std::fs::write(docs.join(format!("page-{page}.png")), tab.picture()).unwrap();
         }
     }
     for page in PICTURED {
@@ -203,20 +159,4 @@ fn show_something(gripper: &Gripper, tab: &mut Tab) {
 
 fn picture((width, height, scheme): (u32, u32, &str)) -> String {
     format!("page-{width}x{height}-{scheme}.png")
-}
-
-fn from_base64(text: &str) -> Vec<u8> {
-    const DIGITS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let digits = text.bytes().filter_map(|byte| DIGITS.iter().position(|digit| *digit == byte));
-    let mut bytes = Vec::new();
-    let (mut bits, mut count) = (0, 0);
-    for digit in digits {
-        (bits, count) = (bits << 6 | digit, count + 6);
-        if count >= 8 {
-            count -= 8;
-            bytes.push((bits >> count) as u8);
-            bits &= (1 << count) - 1;
-        }
-    }
-    bytes
 }

@@ -186,13 +186,13 @@ fn unanswered_click_is_reported_and_not_executed_later() {
     for (button, path) in [("#home", "/command"), ("#part_out", "/part")] {
         tab.until("isFresh()");
         tab.eval("say('message', ''); unansweredAfter = null; withheld = 0; 0");
-        gripper._program.signal(Signal::STOP);
+        gripper.signal(Signal::STOP);
         tab.click_once(button);
         tab.until("unansweredAfter !== null");
         assert_is_a_second(&mut tab, "unansweredAfter");
         let shown = tab.eval(message);
         assert_eq!(shown, "the gripper does not answer, and will not execute this later", "{path}");
-        gripper._program.signal(Signal::CONT);
+        gripper.signal(Signal::CONT);
         tab.until("isFresh()");
     }
     // Both arrived, and neither was executed.
@@ -203,10 +203,10 @@ fn unanswered_click_is_reported_and_not_executed_later() {
     assert!(!log.as_str().unwrap().contains("Homing"), "{log}");
 
     // A FAST STOP is executed at any age.
-    gripper._program.signal(Signal::STOP);
+    gripper.signal(Signal::STOP);
     tab.click_once("#fast_stop");
     tab.until(&format!("{message} === 'the gripper does not answer'"));
-    gripper._program.signal(Signal::CONT);
+    gripper.signal(Signal::CONT);
     tab.until(&flag_is_on("FAST_STOP"));
     tab.click("#acknowledge");
     tab.until(&format!("{STATE} === 'IDLE'"));
@@ -252,7 +252,7 @@ fn values_without_new_events_are_marked_as_old_within_a_second() {
     assert_eq!(tab.eval(dimmed), false);
     tab.eval("window.goneAfter = null; onGone.push(() => { goneAfter = age(); }); 0");
 
-    gripper._program.signal(Signal::STOP);
+    gripper.signal(Signal::STOP);
 
     tab.until("goneAfter !== null");
     tab.until(&format!(
@@ -261,7 +261,7 @@ fn values_without_new_events_are_marked_as_old_within_a_second() {
     assert_is_a_second(&mut tab, "goneAfter");
     tab.until("/^[\\d.]+ s, [1-9]\\d* s ago$/.test(document.getElementById('time').textContent)");
     tab.until("document.getElementById('plot').textContent.endsWith('last state')");
-    gripper._program.signal(Signal::CONT);
+    gripper.signal(Signal::CONT);
     tab.until(&format!("!({dimmed}) && {STATE} === 'IDLE'"));
 
     // A state that was held up on its way is as old as its delay.

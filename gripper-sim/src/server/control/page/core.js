@@ -4,7 +4,7 @@ const SVG = "http://www.w3.org/2000/svg";
 // The gripper reports its state at least every 200 ms. A state that is older than a second is not shown as current.
 const SILENT_MS = 1000;
 // A request without an answer is withdrawn. A FAST STOP is then sent on another way.
-const ANSWER_MS = 1000, FILE_MS = 4000, OTHER_WAY_MS = 100;
+const ANSWER_MS = 1000, FILE_MS = 4000;
 const RETRY_MS = 1000, RECONNECT_MS = 3000, LATE_MS = 10000;
 const MAX_LINES = 500;
 let hello = null, now = 0;
@@ -27,51 +27,19 @@ function say(place, text, refused) {
   $(place).classList.toggle("refused", Boolean(refused));
 }
 
-// The connection, and the requests on it that wait for an answer.
-let socket = null, openedAt = -RECONNECT_MS, requests = 0;
-const waiting = new Map();
-// The state that the page shows, as the server names it: each request carries it, and the server refuses an old one.
+// Closes the stream of events; null without one.
+let closeStream = null, streams = false, openedAt = -RECONNECT_MS;
+// The state that the page shows, as the gripper names it: each request carries it, and an old one is refused.
 let asOf = null;
 
-// Sends a request by HTTP. Returns its status, 0 without an answer in time, and the body of the answer.
-async function overHttp(path, body, signal) {
-  const post = { method: "POST", body: JSON.stringify(body), priority: "high" };
-  const query = body !== undefined && asOf !== null ? "?as_of=" + asOf : "";
-  try {
-    const answer = await fetch(path + query, { ...(body === undefined ? {} : post), signal });
-    return { status: answer.status, body: await answer.json() };
-  } catch {
-    return { status: 0 };
-  }
-}
-// Sends a command on the connection of the page, where it waits for no other request of the browser.
-function overSocket(body, signal) {
-  return new Promise(done => {
-    const id = ++requests;
-    waiting.set(id, done);
-    signal.addEventListener("abort", () => { waiting.delete(id); done({ status: 0 }); });
-    socket.send(JSON.stringify({ id, as_of: asOf, body }));
-  });
-}
 const isStop = name => name === "stop" || name === "fast_stop";
-const isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
 async function send(path, body) {
   if (path === "/command") body.key = Math.floor(Math.random() * Number.MAX_SAFE_INTEGER);
   const abort = new AbortController();
   // The server reads or writes files for some requests. Nothing is executed late for a preview.
   const isLong = body === undefined || path === "/settings" || path === "/scripts" || body?.send === false;
   const end = setTimeout(() => abort.abort(), isLong ? FILE_MS : ANSWER_MS);
-  const first = path === "/command" && isOpen() ? overSocket(body, abort.signal) : overHttp(path, body, abort.signal);
-  const ways = [first];
-  if (path === "/command" && isOpen() && isStop(body.command)) {
-    // A connection that has lost its network must not hold a stop. The server executes it once.
-    ways.push(new Promise(done => {
-      const other = setTimeout(() => overHttp(path, body, abort.signal).then(done), OTHER_WAY_MS);
-      first.then(() => { clearTimeout(other); done({ status: 0 }); });
-    }));
-  }
-  const answered = ways.map(way => way.then(answer => answer.status ? answer : Promise.reject(answer)));
-  const answer = await Promise.any(answered).catch(() => ({ status: 0 }));
+  const answer = await request(path, body, abort.signal);
   clearTimeout(end);
   abort.abort();
   // The answer to a command is a newer state than the page shows.
@@ -220,33 +188,21 @@ function takeHello(data) {
   write($("refusal"), "");
   for (const act of onHello) act();
 }
-function takeAnswer({ id, status, body }) {
-  const done = waiting.get(id);
-  waiting.delete(id);
-  if (done) done({ status, body });
-}
-const onMessage = { hello: takeHello, state: take, answer: takeAnswer };
+const onMessage = { hello: takeHello, state: take };
 for (const [kind, acts] of Object.entries(onEvent)) onMessage[kind] = data => { for (const act of acts) act(data); };
 
-// Shows why the server does not open the connection of this page.
+// Shows why the stream of events does not open.
 async function explain() {
   const { status, body } = await send("/events", {});
-  if (!status || isOpen()) return;
+  if (!status || streams) return;
   write($("refusal"), status === 200 ? "The server is there, but no WebSocket opens: a proxy must forward the headers Upgrade and Connection." : body.error);
 }
 function connect() {
-  const mine = new WebSocket(location.origin.replace("http", "ws") + "/events");
-  let hasOpened = false;
-  socket = mine;
   openedAt = performance.now();
-  mine.addEventListener("open", () => { hasOpened = true; });
-  mine.addEventListener("message", event => {
-    const [, kind, data] = /^event: (.*)\ndata: (.*)/.exec(event.data);
-    if (mine === socket) onMessage[kind](JSON.parse(data));
-  });
-  mine.addEventListener("close", () => {
-    if (mine !== socket) return;
-    socket = null;
+  streams = false;
+  closeStream = stream((kind, data) => { streams = true; onMessage[kind](data); }, hasOpened => {
+    closeStream = null;
+    streams = false;
     isGone();
     if (!hasOpened) explain();
   });
@@ -256,12 +212,12 @@ function check() {
   const since = performance.now() - openedAt;
   if (!isFresh()) isGone();
   const silent = Math.min(since, performance.now() - takenAt), late = Math.min(since, age());
-  if (socket !== null && (silent > RECONNECT_MS || late > LATE_MS)) {
+  if (closeStream !== null && (silent > RECONNECT_MS || late > LATE_MS)) {
     // The other end may not be there any more, or its clock was stopped. A busy computer alone is no reason.
-    socket.close();
-    socket = null;
+    closeStream();
+    closeStream = null;
   }
-  if (socket === null && since > RETRY_MS) connect();
+  if (closeStream === null && since > RETRY_MS) connect();
 }
 function watch() {
   connect();

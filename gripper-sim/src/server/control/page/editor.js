@@ -1,3 +1,4 @@
+"use strict";
 // The command editor: the server converts the input, so that the page and `wsg` accept the same language.
 let frames = new Map(), chosen = null, asked = 0;
 const frameOf = send => ({ command: $("frame-command").value, payload: $("frame-payload").value, send });

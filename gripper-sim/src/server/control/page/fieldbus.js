@@ -1,3 +1,4 @@
+"use strict";
 // The fieldbus monitor: buses, data exchange, and both images as bytes, bits and values.
 let registers = {}, exchanged = null;
 onHello.push(() => { registers = {}; exchanged = null; for (const body of ["output_registers", "input_registers"]) $(body).replaceChildren(); });

@@ -1,3 +1,4 @@
+"use strict";
 // The system log, and the frames of all clients.
 let entries = new Map();
 const LEVELS = ["info", "warning", "error"];

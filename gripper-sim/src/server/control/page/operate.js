@@ -1,3 +1,4 @@
+"use strict";
 // Commands, part and faults.
 const FAULT_FLAGS = ["FAST_STOP", "TEMP_FAULT", "POWER_FAULT", "CURR_FAULT", "FINGER_FAULT", "CMD_FAILURE", "SCRIPT_FAILURE"];
 const MOVING = ["GRIPPING", "RELEASING", "POSITIONING"];

@@ -1,3 +1,4 @@
+"use strict";
 // Three strips over the last 30 s: width, speed, force.
 const WINDOW_S = 30;
 let series = [], marks = [], heldAt = null, cursorAt = null;
@@ -92,13 +93,14 @@ $("plot").addEventListener("keydown", event => {
   plot();
 });
 onGone.push(plot);
-// Every 100 ms, and less often while the timer is late: many windows must leave time for clicks.
+// Every 100 ms, every 500 ms while nothing changes, and less often while the timer is late: many windows must leave time for clicks.
 function keepPlotting(pause) {
   const due = performance.now() + pause;
   setTimeout(() => {
     const late = performance.now() - due;
     if (isFresh() && !pages[0].hidden) plot();
-    keepPlotting(late > 30 ? Math.min(1000, 2 * pause) : Math.max(100, 0.9 * pause));
+    const least = series.length && now - series[series.length - 1][0] > 1 ? 500 : 100;
+    keepPlotting(late > 30 ? Math.min(1000, 2 * pause) : Math.max(least, 0.9 * pause));
   }, pause);
 }
 keepPlotting(100);

@@ -1,3 +1,4 @@
+"use strict";
 // Scripts: the folder, the source, the run and its output.
 let scriptLines = new Map(), isSaved = true;
 const chosenScript = () => $("script-list").value;

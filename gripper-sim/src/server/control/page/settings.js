@@ -1,3 +1,4 @@
+"use strict";
 // Settings: the table of the server, one field for each row.
 let settings = [], settingsRevision = 0, isApplying = false;
 const plain = text => text.replace(/`/g, "").replace(/ ?\(\[[^\]]*\]\([^)]*\)\)|; \[[^\]]*\]\([^)]*\) has the figures/g, "");

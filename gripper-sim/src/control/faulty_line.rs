@@ -17,7 +17,7 @@ const MAX_COPIES: usize = 2;
 /// The direction in which a line is faulty.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum FaultDirection {
+pub(crate) enum FaultDirection {
     /// Only frames to the gripper.
     Requests,
     /// Only frames from the gripper.
@@ -28,35 +28,35 @@ pub(super) enum FaultDirection {
 
 /// How often each fault hits a frame, from 0 (never) to 1 (always).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub(super) struct LineFaults {
-    pub(super) direction: FaultDirection,
-    pub(super) drop: f64,
-    pub(super) delay: f64,
+pub(crate) struct LineFaults {
+    pub(crate) direction: FaultDirection,
+    pub(crate) drop: f64,
+    pub(crate) delay: f64,
     /// Delay of a delayed frame, in ms.
-    pub(super) delay_ms: u32,
+    pub(crate) delay_ms: u32,
     /// Rate of frames with one wrong bit.
-    pub(super) corrupt: f64,
+    pub(crate) corrupt: f64,
     /// Rate of frames without their end.
-    pub(super) truncate: f64,
+    pub(crate) truncate: f64,
     /// Rate of frames sent twice.
-    pub(super) duplicate: f64,
+    pub(crate) duplicate: f64,
 }
 
 impl LineFaults {
     /// The longest delay in ms.
-    pub(super) const MAX_DELAY_MS: u32 = 60_000;
+    pub(crate) const MAX_DELAY_MS: u32 = 60_000;
 
     /// Returns the faults of frames to the gripper.
-    pub(super) fn of_requests(self) -> Self {
+    pub(crate) fn of_requests(self) -> Self {
         if self.direction == FaultDirection::Replies { Self::default() } else { self }
     }
 
     /// Returns the faults of frames from the gripper.
-    pub(super) fn of_replies(self) -> Self {
+    pub(crate) fn of_replies(self) -> Self {
         if self.direction == FaultDirection::Requests { Self::default() } else { self }
     }
 
-    pub(super) fn are_none(&self) -> bool {
+    pub(crate) fn are_none(&self) -> bool {
         [self.drop, self.delay, self.corrupt, self.truncate, self.duplicate].iter().all(|rate| *rate <= 0.0)
     }
 }
@@ -76,15 +76,15 @@ impl std::fmt::Display for LineFaults {
 
 /// The effect of the line on one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Fate {
-    pub(super) dropped: bool,
+pub(crate) struct Fate {
+    pub(crate) dropped: bool,
     /// The delay in ms.
-    pub(super) delayed: Option<u32>,
+    pub(crate) delayed: Option<u32>,
     /// Index of the corrupted byte, and the value it is XORed with.
-    pub(super) corrupted: Option<(usize, u8)>,
+    pub(crate) corrupted: Option<(usize, u8)>,
     /// The number of bytes left.
-    pub(super) truncated: Option<usize>,
-    pub(super) duplicated: bool,
+    pub(crate) truncated: Option<usize>,
+    pub(crate) duplicated: bool,
 }
 
 impl Fate {
@@ -112,7 +112,7 @@ impl Fate {
     }
 
     /// Returns whether the line does not affect the frame.
-    pub(super) fn is_harmless(&self) -> bool {
+    pub(crate) fn is_harmless(&self) -> bool {
         *self == Self::default()
     }
 
@@ -145,17 +145,17 @@ impl std::fmt::Display for Fate {
 
 /// Number of frames on the lines, and of frames hit by each fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub(super) struct LineCounts {
-    pub(super) frames: u64,
-    pub(super) dropped: u64,
-    pub(super) delayed: u64,
-    pub(super) corrupted: u64,
-    pub(super) truncated: u64,
-    pub(super) duplicated: u64,
+pub(crate) struct LineCounts {
+    pub(crate) frames: u64,
+    pub(crate) dropped: u64,
+    pub(crate) delayed: u64,
+    pub(crate) corrupted: u64,
+    pub(crate) truncated: u64,
+    pub(crate) duplicated: u64,
 }
 
 impl LineCounts {
-    pub(super) fn count(&mut self, fate: &Fate) {
+    pub(crate) fn count(&mut self, fate: &Fate) {
         self.frames += 1;
         self.dropped += u64::from(fate.dropped);
         self.delayed += u64::from(fate.delayed.is_some());
@@ -167,14 +167,14 @@ impl LineCounts {
 
 /// The counts of both directions.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub(super) struct LineCountsByDirection {
-    pub(super) requests: LineCounts,
-    pub(super) replies: LineCounts,
+pub(crate) struct LineCountsByDirection {
+    pub(crate) requests: LineCounts,
+    pub(crate) replies: LineCounts,
 }
 
 /// How a frame passes the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Passage {
+pub(crate) enum Passage {
     /// Immediately and unchanged.
     Through,
     /// Held in the line, as far as anything arrives.
@@ -183,21 +183,21 @@ pub(super) enum Passage {
 
 /// The latency of a line without faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Latency {
+pub(crate) struct Latency {
     /// Delay of each frame, in ms.
-    pub(super) delay_ms: u16,
+    pub(crate) delay_ms: u16,
     /// Minimum distance between two frames, in ms.
-    pub(super) gap_ms: u16,
+    pub(crate) gap_ms: u16,
 }
 
 impl Latency {
     /// Zero delay and distance.
-    pub(super) const NONE: Self = Self { delay_ms: 0, gap_ms: 0 };
+    pub(crate) const NONE: Self = Self { delay_ms: 0, gap_ms: 0 };
 }
 
 /// The line to one client, or from it.
 #[derive(Debug)]
-pub(super) struct FaultyLine {
+pub(crate) struct FaultyLine {
     latency: Latency,
     /// Earliest time of the next arrival.
     next_at: Time,
@@ -209,7 +209,7 @@ pub(super) struct FaultyLine {
 
 impl FaultyLine {
     /// Returns the line of the connection with this number.
-    pub(super) const fn new(seed: u64, connection: u64) -> Self {
+    pub(crate) const fn new(seed: u64, connection: u64) -> Self {
         Self {
             latency: Latency::NONE,
             next_at: Time::ZERO,
@@ -220,29 +220,29 @@ impl FaultyLine {
     }
 
     /// Returns the line with this latency.
-    pub(super) fn with_latency(self, latency: Latency) -> Self {
+    pub(crate) fn with_latency(self, latency: Latency) -> Self {
         Self { latency, ..self }
     }
 
     /// Returns whether [`pass`](Self::pass) has room for all copies of a frame.
-    pub(super) fn has_room(&self) -> bool {
+    pub(crate) fn has_room(&self) -> bool {
         self.waiting.len() + MAX_COPIES <= MAX_WAITING
     }
 
     /// Returns whether the line has reached its absolute capacity.
-    pub(super) fn is_full(&self) -> bool {
+    pub(crate) fn is_full(&self) -> bool {
         self.waiting.len() >= MAX_HELD
     }
 
     /// Returns the fate of the next frame, which has `len` bytes.
-    pub(super) fn fate(&mut self, faults: &LineFaults, len: usize) -> Fate {
+    pub(crate) fn fate(&mut self, faults: &LineFaults, len: usize) -> Fate {
         let mut chance = Chance(mixed(self.seed ^ self.frames));
         self.frames = self.frames.wrapping_add(1);
         if faults.are_none() { Fate::default() } else { Fate::draw(faults, &mut chance, len) }
     }
 
     /// Takes the gripper's next frame.
-    pub(super) fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8]) -> Passage {
+    pub(crate) fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8]) -> Passage {
         let fate = self.fate(faults, frame.len());
         if fate.is_harmless() && self.waiting.is_empty() && self.latency == Latency::NONE {
             return Passage::Through;
@@ -252,7 +252,7 @@ impl FaultyLine {
     }
 
     /// Holds a frame, or other bytes, with this fate. Frames never overtake each other: frames after a delayed one wait.
-    pub(super) fn hold(&mut self, fate: &Fate, now: Time, frame: &[u8]) {
+    pub(crate) fn hold(&mut self, fate: &Fate, now: Time, frame: &[u8]) {
         if !fate.dropped {
             let Latency { delay_ms, gap_ms } = self.latency;
             let late_ms = u64::from(fate.delayed.unwrap_or(0)) + u64::from(delay_ms);
@@ -268,7 +268,7 @@ impl FaultyLine {
     }
 
     /// Returns the next bytes that have arrived by `now`.
-    pub(super) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
+    pub(crate) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
         let (due, _) = self.waiting.front()?;
         if *due > now {
             return None;
@@ -277,7 +277,7 @@ impl FaultyLine {
     }
 
     /// Returns the time of the next arrival.
-    pub(super) fn next_arrival(&self) -> Option<Time> {
+    pub(crate) fn next_arrival(&self) -> Option<Time> {
         self.waiting.front().map(|(due, _)| *due)
     }
 }

@@ -1,21 +1,105 @@
 //! Settings as JSON: the table with its values, and changes.
 
-use super::answer::HttpError;
-use crate::server::hub::{Changes, Hub, Refused, SettingState};
-use crate::server::options::GROUPS;
-use hyper::StatusCode;
-use serde::Serialize;
+use super::Host;
+use super::answer::{HttpError, status};
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-pub(super) const SETTINGS_EXPECTED: &str = r#"an object with the settings to change, such as {"clamping-travel":4,"homing-at-start":true,"tag":null}, where null is the default"#;
+/// Headings of settings.
+pub(crate) const COMMAND: &str = "Command interface";
+pub(crate) const MOTION: &str = "Motion configuration";
+pub(crate) const NETWORK: &str = "Network";
+pub(crate) const FIELDBUS: &str = "Fieldbus";
+pub(crate) const DEVICE: &str = "Device";
+/// The groups of settings on the page, in order.
+pub(crate) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE];
+
+pub(crate) const SETTINGS_EXPECTED: &str = r#"an object with the settings to change, such as {"clamping-travel":4,"homing-at-start":true,"tag":null}, where null is the default"#;
+
+/// One row of the table of settings.
+#[derive(Debug, Deserialize, Serialize)]
+pub(crate) struct Setting {
+    pub(crate) name: String,
+    pub(crate) group: &'static str,
+    pub(crate) meaning: String,
+    /// The default, as the help writes it; empty without one.
+    pub(crate) default: String,
+    /// The unit, or the form of the value. `None` for a switch.
+    pub(crate) unit: Option<&'static str>,
+    /// The possible values, if they are few.
+    pub(crate) choices: Vec<String>,
+    /// The accepted values, in the words of the error; empty for a free text.
+    pub(crate) expected: String,
+    pub(crate) is_at_once: bool,
+    /// Whether the value is a list.
+    pub(crate) is_list: bool,
+}
+
+/// A setting with its value.
+#[derive(Debug)]
+pub(crate) struct SettingState {
+    pub(crate) row: &'static Setting,
+    /// The given words; `None` for the default.
+    pub(crate) given: Option<Vec<String>>,
+    /// Whether the value counts after the next restart only.
+    pub(crate) is_pending: bool,
+}
+
+impl SettingState {
+    /// Returns the rows of a table with the words that are given now, and that were given at the start.
+    pub(crate) fn all(table: &'static [Setting], given: &Given, at_start: &Given) -> Vec<Self> {
+        let state = |row: &'static Setting| {
+            let words = given.get(&row.name);
+            let is_pending = !row.is_at_once && words != at_start.get(&row.name);
+            Self { row, given: words.cloned(), is_pending }
+        };
+        table.iter().map(state).collect()
+    }
+}
+
+/// The words given for each option, without its hyphens: none for a switch, several for an option that may be repeated.
+pub(crate) type Given = BTreeMap<String, Vec<String>>;
+
+/// Changed settings: new words, none for a switch that is on, `None` for the default.
+pub(crate) type Changes = BTreeMap<String, Option<Vec<String>>>;
+
+/// Why settings cannot change.
+#[derive(Debug)]
+pub(crate) enum Refused {
+    /// The server was started by a program of its own, without options.
+    NoOptions,
+    /// A value is invalid, in one line.
+    Invalid(String),
+    /// A motion runs whose settings would change.
+    Moving,
+    /// The settings are in effect, but the file cannot be written.
+    NotSaved(String),
+}
+
+/// Returns the names of the settings that differ, and describes each change.
+pub(crate) fn changed_settings<'a>(
+    changes: &'a Changes,
+    before: &Given,
+    after: &Given,
+    report: impl Fn(&str),
+) -> Vec<&'a String> {
+    let value = |words: &Vec<String>| if words.is_empty() { "on".to_owned() } else { words.join(", ") };
+    let text = |words: Option<&Vec<String>>| words.map_or_else(|| "default".to_owned(), value);
+    let changed: Vec<&String> = changes.keys().filter(|name| before.get(*name) != after.get(*name)).collect();
+    for name in &changed {
+        let [before, now] = [before, after].map(|given| text(given.get(*name)));
+        report(&format!("setting {name}: {before} -> {now}"));
+    }
+    changed
+}
 
 /// A changed setting may be any JSON value; its row decides.
-pub(super) type SettingsBody = BTreeMap<String, Value>;
+pub(crate) type SettingsBody = BTreeMap<String, Value>;
 
 /// The answer to `/settings`.
 #[derive(Debug, Serialize)]
-pub(super) struct SettingsAnswer {
+pub(crate) struct SettingsAnswer {
     /// A number that grows with each change.
     revision: u64,
     groups: [&'static str; 5],
@@ -77,23 +161,23 @@ impl SettingBody {
 fn no_options() -> HttpError {
     let error =
         "this server was started by another program, which holds its settings; expected the program wsg-sim";
-    HttpError::new(StatusCode::CONFLICT, error.to_owned())
+    HttpError::new(status::CONFLICT, error.to_owned())
 }
 
-pub(super) fn settings(hub: &Hub) -> Result<SettingsAnswer, HttpError> {
-    let settings = hub.settings().ok_or_else(no_options)?;
+pub(crate) fn settings(host: &mut impl Host) -> Result<SettingsAnswer, HttpError> {
+    let settings = host.settings().ok_or_else(no_options)?;
     Ok(SettingsAnswer {
-        revision: hub.settings_revision(),
+        revision: host.at_bench(|bench, _| bench.settings_revision()),
         groups: GROUPS,
-        file: hub.settings_file(),
+        file: host.settings_file(),
         restart_pending: settings.iter().any(|setting| setting.is_pending),
         settings: settings.into_iter().map(SettingBody::of).collect(),
     })
 }
 
 /// Changes the settings, all or none.
-pub(super) fn change(hub: &Hub, body: SettingsBody) -> Result<(), HttpError> {
-    let table = hub.settings().ok_or_else(no_options)?;
+pub(crate) fn change(host: &mut impl Host, body: SettingsBody) -> Result<(), HttpError> {
+    let table = host.settings().ok_or_else(no_options)?;
     let changes: Result<Changes, HttpError> = body
         .into_iter()
         .map(|(name, value)| {
@@ -111,16 +195,16 @@ pub(super) fn change(hub: &Hub, body: SettingsBody) -> Result<(), HttpError> {
             Ok((name, words))
         })
         .collect();
-    hub.change_settings(&changes?).map_err(|refused| match refused {
+    host.change_settings(&changes?).map_err(|refused| match refused {
         Refused::NoOptions => no_options(),
         Refused::Invalid(error) => HttpError::wrong(error),
         Refused::Moving => {
             let error = "the fingers move; expected them at rest for a change of the motion configuration";
-            HttpError::new(StatusCode::CONFLICT, error.to_owned())
+            HttpError::new(status::CONFLICT, error.to_owned())
         }
         Refused::NotSaved(error) => {
             let error = format!("the settings are in effect and not saved: {error}");
-            HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error)
+            HttpError::new(status::INTERNAL_SERVER_ERROR, error)
         }
     })
 }

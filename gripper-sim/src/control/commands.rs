@@ -1,18 +1,13 @@
 //! Commands of the page's buttons, translated to the binary protocol.
 
-use super::answer::HttpError;
-use crate::server::hub::Hub;
-use hyper::StatusCode;
+use super::answer::{HttpError, status};
+use super::bench::Bench;
+use crate::time::Time;
 use serde::Deserialize;
-use std::cell::RefCell;
-use std::collections::VecDeque;
 use wsg_protocol::types::AckKey;
 use wsg_protocol::{Command, HomingDirection, PrePositionFlags, Status};
 
-pub(super) const COMMAND_EXPECTED: &str = r#"{"command":"home"}, "stop", "fast_stop" or "acknowledge"; {"command":"move","width_mm":50.0,"speed_mm_per_s":100.0}, "grip" (and "force_n":40.0) or "release" (speed and force are optional)"#;
-
-/// Number of keys that are kept.
-const MAX_KEYS: usize = 64;
+pub(crate) const COMMAND_EXPECTED: &str = r#"{"command":"home"}, "stop", "fast_stop" or "acknowledge"; {"command":"move","width_mm":50.0,"speed_mm_per_s":100.0}, "grip" (and "force_n":40.0) or "release" (speed and force are optional)"#;
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -28,7 +23,7 @@ enum CommandName {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct CommandBody {
+pub(crate) struct CommandBody {
     command: CommandName,
     width_mm: Option<f32>,
     speed_mm_per_s: Option<f32>,
@@ -37,48 +32,32 @@ pub(super) struct CommandBody {
     key: Option<u64>,
 }
 
-/// The keys of the latest commands.
-#[derive(Debug, Default)]
-pub(super) struct Executed(RefCell<VecDeque<u64>>);
-
-impl Executed {
-    fn contains(&self, key: u64) -> bool {
-        self.0.borrow().contains(&key)
-    }
-
-    fn keep(&self, key: u64) {
-        let mut keys = self.0.borrow_mut();
-        keys.truncate(MAX_KEYS - 1);
-        keys.push_front(key);
-    }
-}
-
 impl CommandBody {
     /// Returns whether the command stops the fingers, which is never refused for its age.
-    pub(super) const fn is_stop(&self) -> bool {
+    pub(crate) const fn is_stop(&self) -> bool {
         matches!(self.command, CommandName::Stop | CommandName::FastStop)
     }
 
     /// Executes the command. A refusal by the gripper, or a number outside its limits, changes nothing.
-    pub(super) fn execute(&self, hub: &Hub, executed: &Executed) -> Result<(), HttpError> {
-        if self.key.is_some_and(|key| executed.contains(key)) {
+    pub(crate) fn execute(&self, bench: &mut Bench, now: Time) -> Result<(), HttpError> {
+        if self.key.is_some_and(|key| bench.executed.contains(key)) {
             return Ok(());
         }
-        let command = self.command(hub.config().speed).ok_or_else(|| {
+        let command = self.command(bench.config().speed).ok_or_else(|| {
             HttpError::wrong(format!(
                 "the command has missing or invalid numbers; expected {COMMAND_EXPECTED}"
             ))
         })?;
-        check_limits(hub, &command, self.force_n)?;
-        let status = hub.command(self.force_n, &command);
+        check_limits(bench, &command, self.force_n, now)?;
+        let status = bench.command(self.force_n, &command, now);
         if matches!(status, Status::Success | Status::CmdPending) {
             if let Some(key) = self.key {
-                executed.keep(key);
+                bench.executed.keep(key);
             }
             return Ok(());
         }
         let error = format!("the gripper refuses {command}: {status}");
-        Err(HttpError::new(StatusCode::CONFLICT, error))
+        Err(HttpError::new(status::CONFLICT, error))
     }
 
     /// Returns the command; `None` if a number is missing or not supported by the command.
@@ -108,9 +87,14 @@ impl CommandBody {
 }
 
 /// Rejects numbers outside the limits (command set, 3.5.4), which the gripper would correct without an error.
-fn check_limits(hub: &Hub, command: &Command<'_>, force: Option<f32>) -> Result<(), HttpError> {
-    let limits = hub.config().model.parameters().limits;
-    let flags = hub.look(|gripper| gripper.state().flags);
+fn check_limits(
+    bench: &mut Bench,
+    command: &Command<'_>,
+    force: Option<f32>,
+    now: Time,
+) -> Result<(), HttpError> {
+    let limits = bench.config().model.parameters().limits;
+    let flags = bench.look(now, |gripper| gripper.state().flags);
     let force = force.map(|force| Command::SetForceLimit { force });
     let mut commands = force.iter().chain([command]);
     let checked = commands.try_for_each(|command| command.check_limits(&limits, flags, None));

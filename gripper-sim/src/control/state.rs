@@ -1,20 +1,29 @@
 //! The state as JSON: the answer to requests, and the data of the event stream.
 
 use super::age::as_of;
-use super::history::{History, Sample};
+use super::answer::{HttpError, status};
+use super::bench::{Bench, BusLine, Report};
+use super::faulty_line::{LineCountsByDirection, LineFaults};
+use super::history::Sample;
 use super::injected::{FaultName, PartBody};
 use crate::faults::Fault;
 use crate::fieldbus::ExchangeState;
 use crate::finger::{Finger, Jaw};
-use crate::server::faulty_line::{LineCountsByDirection, LineFaults};
-use crate::server::hub::{BusLine, Hub, Report};
+use crate::time::Time;
 use serde::Serialize;
 use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags};
 use wsg_protocol::{CommandId, SystemFlags};
 
+/// Returns the state of gripper and lines as JSON.
+pub(crate) fn state(bench: &mut Bench, now: Time) -> Result<String, HttpError> {
+    let report = bench.report(now);
+    serde_json::to_string(&StateBody::of(bench, &report))
+        .map_err(|error| HttpError::new(status::INTERNAL_SERVER_ERROR, error.to_string()))
+}
+
 /// The answer to every accepted request.
 #[derive(Debug, Serialize)]
-pub(super) struct StateBody<'a> {
+pub(crate) struct StateBody<'a> {
     model: &'static str,
     /// Omitted when the enclosing event already contains it, like the next one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -43,7 +52,7 @@ pub(super) struct StateBody<'a> {
 
 /// The static data that a page receives first.
 #[derive(Debug, Serialize)]
-pub(super) struct HelloBody {
+pub(crate) struct HelloBody {
     model: &'static str,
     limits: LimitsBody,
     names: NamesBody,
@@ -78,8 +87,8 @@ struct NamesBody {
 }
 
 impl HelloBody {
-    pub(super) fn of(hub: &Hub, history: &History) -> Self {
-        let model = hub.config().model;
+    pub(crate) fn of(bench: &Bench) -> Self {
+        let model = bench.config().model;
         let limits = &model.parameters().limits;
         let names_by_bit = |names: &mut dyn Iterator<Item = (&'static str, u32)>| {
             let mut by_bit = vec![""; 8];
@@ -102,9 +111,9 @@ impl HelloBody {
             },
             force_steps_per_n: ForceUnit::of(model.parameters().device).per_newton(),
             commands: CommandId::ALL.iter().map(|id| (id.code(), id.name())).collect(),
-            fingers: hub.config().fingers.map(Finger::name),
-            tag: hub.config().tag.as_str().to_owned(),
-            history: history.samples(),
+            fingers: bench.config().fingers.map(Finger::name),
+            tag: bench.config().tag.as_str().to_owned(),
+            history: bench.history.samples(),
             names: NamesBody {
                 command: names_by_bit(
                     &mut CommandFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into())),
@@ -161,18 +170,18 @@ struct ClientBody<'a> {
 
 impl<'a> StateBody<'a> {
     /// Omits the time, which changes while nothing else does.
-    pub(super) fn without_time(mut self) -> Self {
+    pub(crate) fn without_time(mut self) -> Self {
         self.time_s = None;
         self.as_of = None;
         self
     }
 
-    pub(super) fn of(hub: &Hub, report: &'a Report) -> Self {
+    pub(crate) fn of(bench: &Bench, report: &'a Report) -> Self {
         let Report { now, state, faults, line_faults, line_counts, clients, .. } = report;
         Self {
-            model: hub.config().model.name(),
+            model: bench.config().model.name(),
             time_s: Some(now.as_micros() as f64 / 1e6),
-            as_of: Some(as_of(hub, *now)),
+            as_of: Some(as_of(bench, *now)),
             width_mm: state.width,
             reported_width_mm: state.reported_width,
             speed_mm_per_s: state.speed,
@@ -189,7 +198,7 @@ impl<'a> StateBody<'a> {
             part: state.part.map(PartBody::from),
             part_is_between: state.part_is_between,
             part_is_around: state.part_is_around,
-            fieldbus: FieldbusBody::of(hub, report),
+            fieldbus: FieldbusBody::of(bench, report),
             faults: faults.iter().map(active_fault).collect(),
             line: *line_faults,
             line_counts: *line_counts,
@@ -209,7 +218,7 @@ impl<'a> StateBody<'a> {
 }
 
 impl<'a> FieldbusBody<'a> {
-    fn of(hub: &Hub, report: &'a Report) -> Self {
+    fn of(bench: &Bench, report: &'a Report) -> Self {
         let Report { images: (output, input), buses, exchange, master, profibus_master, .. } = report;
         Self {
             buses,
@@ -223,7 +232,7 @@ impl<'a> FieldbusBody<'a> {
             profibus_master: *profibus_master,
             outputs_received: exchange.outputs,
             watchdog_expired: exchange.timeouts,
-            watchdog_ms: hub.config().bus_timeout_ms,
+            watchdog_ms: bench.config().bus_timeout_ms,
             output: output.to_bytes(),
             input: input.to_bytes(),
             status: input.status.to_string(),

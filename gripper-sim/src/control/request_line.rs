@@ -17,7 +17,7 @@ const MAX_LINE_LEN: usize = 512;
 
 /// The line from one client.
 #[derive(Debug)]
-pub(super) struct RequestLine {
+pub(crate) struct RequestLine {
     kind: PortKind,
     /// Bytes of the incomplete frame.
     held: Vec<u8>,
@@ -39,24 +39,24 @@ enum Cut {
 
 impl RequestLine {
     /// Returns the line of the connection with this number.
-    pub(super) const fn new(kind: PortKind, seed: u64, connection: u64) -> Self {
+    pub(crate) const fn new(kind: PortKind, seed: u64, connection: u64) -> Self {
         // Other random numbers than the replies use.
         let line = FaultyLine::new(seed, !connection);
         Self { kind, held: Vec::new(), due: None, line }
     }
 
     /// Returns whether nothing is in transit, so that the line may be bypassed.
-    pub(super) fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.held.is_empty() && self.line.next_arrival().is_none()
     }
 
     /// Returns whether the line accepts more from a client with flow control.
-    pub(super) fn has_room(&self) -> bool {
+    pub(crate) fn has_room(&self) -> bool {
         self.line.has_room()
     }
 
     /// Takes bytes from the client and passes the fate of each frame to `report`. Bytes without room are lost.
-    pub(super) fn take(
+    pub(crate) fn take(
         &mut self,
         faults: &LineFaults,
         now: Time,
@@ -95,7 +95,7 @@ impl RequestLine {
     }
 
     /// Returns the next bytes that have reached the gripper by `now`.
-    pub(super) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
+    pub(crate) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
         if let Some(bytes) = self.line.arrive(now) {
             // The rest could not arrive while the line was full.
             self.due = self.due.map(|_| now.plus_millis(REST_WAIT_MS));
@@ -109,7 +109,7 @@ impl RequestLine {
     }
 
     /// Returns when the next bytes reach the gripper.
-    pub(super) fn next_arrival(&self) -> Option<Time> {
+    pub(crate) fn next_arrival(&self) -> Option<Time> {
         self.line.next_arrival().or(self.due)
     }
 

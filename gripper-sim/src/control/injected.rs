@@ -1,26 +1,25 @@
 //! What the operator injects: the part, faults of the device, and faults of the lines.
 
-use super::answer::HttpError;
+use super::answer::{HttpError, status};
+use super::faulty_line::{FaultDirection, LineFaults};
 use crate::axis::Part;
+use crate::config::Config;
 use crate::faults::Fault;
 use crate::finger::{Finger, Jaw};
-use crate::server::faulty_line::{FaultDirection, LineFaults};
-use crate::server::hub::Hub;
-use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
 
-pub(super) const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), "inner_width_mm":15.0 for a hollow part, or null for no part"#;
-pub(super) const FAULT_EXPECTED: &str =
+pub(crate) const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), "inner_width_mm":15.0 for a hollow part, or null for no part"#;
+pub(crate) const FAULT_EXPECTED: &str =
     r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
-pub(super) const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and omitted values are 0, and "direction":"requests", "replies" or "both""#;
+pub(crate) const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and omitted values are 0, and "direction":"requests", "replies" or "both""#;
 
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct PartBody {
-    pub(super) width_mm: f32,
-    pub(super) stiffness_n_per_mm: Option<f32>,
+pub(crate) struct PartBody {
+    pub(crate) width_mm: f32,
+    pub(crate) stiffness_n_per_mm: Option<f32>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) inner_width_mm: Option<f32>,
+    pub(crate) inner_width_mm: Option<f32>,
 }
 
 impl From<Part> for PartBody {
@@ -33,7 +32,7 @@ impl From<Part> for PartBody {
     }
 }
 
-pub(super) fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
+pub(crate) fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
     let Some(PartBody { width_mm, stiffness_n_per_mm, inner_width_mm }) = body else { return Ok(None) };
     let stiffness = stiffness_n_per_mm.unwrap_or(Part::DEFAULT_STIFFNESS);
     let solid = Part::new(width_mm, stiffness);
@@ -51,15 +50,15 @@ pub(super) fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct FaultBody {
-    pub(super) fault: FaultName,
-    pub(super) finger: Option<u8>,
-    pub(super) on: bool,
+pub(crate) struct FaultBody {
+    pub(crate) fault: FaultName,
+    pub(crate) finger: Option<u8>,
+    pub(crate) on: bool,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum FaultName {
+pub(crate) enum FaultName {
     AxisBlocked,
     OverTemperature,
     SupplyOutOfRange,
@@ -68,9 +67,9 @@ pub(super) enum FaultName {
     FingerCommunication,
 }
 
-pub(super) fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, HttpError> {
+pub(crate) fn which_fault(config: &Config, name: FaultName, finger: Option<u8>) -> Result<Fault, HttpError> {
     let of_a_finger = |fault: fn(Jaw) -> Fault, is_possible: fn(Finger) -> bool, needs: &str| {
-        let [one, two] = hub.config().fingers;
+        let [one, two] = config.fingers;
         let (jaw, mounted) = match finger {
             Some(1) => (Jaw::One, one),
             Some(2) => (Jaw::Two, two),
@@ -88,7 +87,7 @@ pub(super) fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Res
         }
         let error =
             format!("the finger is {:?}, which cannot have this fault; expected {needs}", mounted.name());
-        Err(HttpError::new(StatusCode::CONFLICT, error))
+        Err(HttpError::new(status::CONFLICT, error))
     };
     let fault = match name {
         FaultName::AxisBlocked => Fault::AxisBlocked,
@@ -114,7 +113,7 @@ pub(super) fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Res
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(super) struct LineBody {
+pub(crate) struct LineBody {
     direction: FaultDirection,
     drop: f64,
     delay: Option<f64>,
@@ -125,7 +124,7 @@ pub(super) struct LineBody {
 }
 
 /// Returns the requested faults. A delay without a rate hits every frame.
-pub(super) fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
+pub(crate) fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
     let LineBody { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
     if delay.is_some_and(|rate| rate > 0.0) && delay_ms.is_none() {
         return Err(HttpError::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));

@@ -1,0 +1,92 @@
+//! The events for pages: what has changed since the last time.
+
+use super::age::as_of;
+use super::bench::Bench;
+use super::latest_script::ScriptReport;
+use super::state::{HelloBody, StateBody};
+use crate::time::Time;
+use serde::Serialize;
+
+/// Interval of the heartbeat to pages while nothing changes. A page shows after a second that it receives nothing.
+const HEARTBEAT_MS: u64 = 200;
+
+/// Kind and JSON of an event.
+pub(crate) type Event = (&'static str, String);
+
+/// Returns a value as JSON. The values of events contain nothing that JSON cannot represent.
+fn text(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}
+
+/// Returns an object with one member as JSON.
+pub(super) fn object(name: &str, value: &impl Serialize) -> String {
+    format!("{{\"{name}\":{}}}", text(value))
+}
+
+/// Returns the event with which each page begins: the static data.
+pub(crate) fn hello(bench: &Bench) -> Event {
+    ("hello", text(&HelloBody::of(bench)))
+}
+
+/// What the open pages know.
+#[derive(Debug, Default)]
+pub(crate) struct Publisher {
+    /// The next entry of the system log, frame of the editor, and line of the script.
+    next_entry: u64,
+    next_frame: u64,
+    next_line: u64,
+    script: Option<ScriptReport>,
+    settings: u64,
+    /// The latest state, and when the next one is due.
+    state: String,
+    due: Time,
+}
+
+impl Publisher {
+    /// Begins with the first page.
+    pub(crate) fn begin(&mut self, bench: &mut Bench) {
+        bench.watch_log(true);
+        // A page that opens reads the settings by itself.
+        self.settings = bench.settings_revision();
+        self.state.clear();
+    }
+
+    /// Returns the events that are due now.
+    pub(crate) fn events(&mut self, bench: &mut Bench, now: Time) -> Vec<Event> {
+        let mut events = Vec::new();
+        let report = bench.report(now);
+        let state = text(&StateBody::of(bench, &report).without_time());
+        if state != self.state || now >= self.due {
+            let (time_s, as_of) = (report.now.as_micros() as f64 / 1e6, as_of(bench, report.now));
+            let json = format!("{{\"time_s\":{time_s},\"as_of\":\"{as_of}\",\"state\":{state}}}");
+            events.push(("state", json));
+            (self.state, self.due) = (state, now.plus_millis(HEARTBEAT_MS));
+        }
+        let entries = bench.system_log().entries_from(self.next_entry);
+        if let Some(latest) = entries.last() {
+            self.next_entry = latest.number + 1;
+            events.push(("system_log", object("entries", &entries)));
+        }
+        let frames = bench.frames_from(self.next_frame);
+        if let Some(latest) = frames.last() {
+            self.next_frame = latest.number + 1;
+            events.push(("editor", object("frames", &frames)));
+        }
+        let (report, lines) = bench.script.report(self.next_line);
+        if !lines.is_empty() || self.script.as_ref() != Some(&report) {
+            self.next_line = lines.last().map_or(self.next_line, |line| line.number + 1);
+            events.push(("script", format!("{{\"latest\":{},\"lines\":{}}}", text(&report), text(&lines))));
+            self.script = Some(report);
+        }
+        if self.settings != bench.settings_revision() {
+            self.settings = bench.settings_revision();
+            events.push(("settings", object("revision", &self.settings)));
+        }
+        let log = bench.take_watched();
+        if !log.lines.is_empty() {
+            let json = format!("{{\"lines\":{},\"lost\":{}}}", text(&log.lines), log.lost);
+            events.push(("log", json));
+        }
+        events
+    }
+}

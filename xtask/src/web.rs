@@ -1,0 +1,124 @@
+//! The pages without a server: static files with the gripper and the bridge as WebAssembly.
+
+use std::{
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+    process::Command,
+    thread,
+};
+
+use anyhow::{Context, Result, ensure};
+use flate2::{Compression, write::GzEncoder};
+
+use crate::{process, setup, workspace::Workspace};
+
+pub(crate) const TRIPLE: &str = "wasm32-unknown-unknown";
+/// Folder of the files, in the build folder.
+pub(crate) const FOLDER: &str = "web";
+/// Part of the names of the tests that need the files.
+pub(crate) const TESTS: &str = "static_page";
+/// The page of `wsg-sim`, and the files of the pages without a server.
+const FOLDERS: [&str; 2] = ["gripper-sim/src/server/control/page", "web/page"];
+/// Device files, which the page of the gripper offers.
+const DEVICE_FILES: [&str; 2] = ["docs/WSGB5555.gsd", "docs/GSDML-V2.31-wsg-sim-WSG-20261124.xml"];
+/// Limit for all files together, each compressed by gzip -9, in bytes.
+const MAX_COMPRESSED: usize = 250_000;
+/// What the page of the gripper may load: its own files.
+const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; \
+                      worker-src 'self'; base-uri 'none'; form-action 'none'";
+/// Where the page `try` of the book has the gripper's page. The PDF has a picture alone.
+const PLACE: &str = "<!-- the page -->";
+const EMBEDDED: &str = "<p><a href=\"web/index.html\">Open it in a window of its own</a></p>\n\
+    <iframe src=\"web/gripper.html\" title=\"the virtual gripper\" style=\"width:100%;height:60em;border:0\"></iframe>";
+const HEAD: &str = "<meta charset=\"utf-8\">";
+
+/// Builds the files, and checks their size. Returns the folder.
+pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
+    ensure!(
+        setup::provide_target(workspace, TRIPLE),
+        "the target {TRIPLE} is missing; run `rustup target add {TRIPLE}`, or install Debian's libstd-rust-dev-wasm32"
+    );
+    let mut cargo = workspace.cargo("build --package wsg-web --profile c-library --target");
+    provenance::remove_paths(cargo.arg(TRIPLE), &workspace.target_dir, &["-C", "strip=symbols"]);
+    process::run(&mut cargo)?;
+
+    let folder = workspace.target_dir.join(FOLDER);
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder)?;
+    for source in FOLDERS {
+        for entry in fs::read_dir(workspace.root.join(source))? {
+            let path = entry?.path();
+            copy(&path, &folder)?;
+            if source == FOLDERS[0] && path.ends_with("index.html") {
+                fs::write(folder.join("gripper.html"), without_server(&fs::read_to_string(path)?)?)?;
+            }
+        }
+    }
+    fs::remove_file(folder.join("over_http.js"))?;
+    DEVICE_FILES.iter().try_for_each(|file| copy(&workspace.root.join(file), &folder))?;
+    let wasm = workspace.target_dir.join(TRIPLE).join("c-library/wsg_web.wasm");
+    fs::copy(&wasm, folder.join("wsg.wasm")).with_context(|| format!("cannot copy {}", wasm.display()))?;
+
+    let mut sizes = Vec::new();
+    for entry in fs::read_dir(&folder)? {
+        let path = entry?.path();
+        let bytes = fs::read(&path)?;
+        let mut gzip = GzEncoder::new(Vec::new(), Compression::best());
+        gzip.write_all(&bytes)?;
+        sizes.push((gzip.finish()?.len(), bytes.len(), path));
+    }
+    sizes.sort();
+    for (compressed, size, path) in &sizes {
+        println!("{compressed:7} of {size:7} bytes  {}", path.display());
+    }
+    let all: usize = sizes.iter().map(|(compressed, ..)| compressed).sum();
+    println!("{all:7} bytes compressed by gzip -9; at most {MAX_COMPRESSED}");
+    ensure!(all <= MAX_COMPRESSED, "the pages have {all} bytes, more than {MAX_COMPRESSED}");
+    Ok(folder)
+}
+
+/// Adds the files to the book, whose page `try` embeds the gripper's page.
+pub(crate) fn add_to_book(workspace: &Workspace) -> Result<()> {
+    let book = workspace.target_dir.join("book");
+    let folder = book.join(FOLDER);
+    fs::create_dir_all(&folder)?;
+    for entry in fs::read_dir(build(workspace)?)? {
+        copy(&entry?.path(), &folder)?;
+    }
+    let page = book.join("try.html");
+    let text = fs::read_to_string(&page).with_context(|| format!("cannot read {}", page.display()))?;
+    ensure!(text.contains(PLACE), "{} lacks {PLACE}", page.display());
+    Ok(fs::write(page, text.replace(PLACE, EMBEDDED))?)
+}
+
+/// Serves the folder, opens it in the browser, and waits until it is stopped.
+pub(crate) fn open(folder: &Path) -> Result<()> {
+    let page = browser::serve(folder)?;
+    let opener = if cfg!(target_os = "macos") {
+        "open"
+    } else if cfg!(windows) {
+        "explorer"
+    } else {
+        "xdg-open"
+    };
+    println!("open {page} in a browser; Ctrl+C stops the server");
+    // A machine without a desktop has none; the address is printed.
+    let _ = Command::new(opener).arg(&page).status();
+    loop {
+        thread::park();
+    }
+}
+
+fn copy(file: &Path, folder: &Path) -> Result<()> {
+    let name = file.file_name().context("a file has a name")?;
+    fs::copy(file, folder.join(name)).with_context(|| format!("cannot copy {}", file.display()))?;
+    Ok(())
+}
+
+/// Returns the page of `wsg-sim` with the worker in place of the server.
+fn without_server(page: &str) -> Result<String> {
+    ensure!(page.contains(HEAD) && page.contains("over_http.js"), "the page lacks {HEAD} or over_http.js");
+    let policy = format!("{HEAD}\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">");
+    Ok(page.replace(HEAD, &policy).replace("over_http.js", "over_worker.js"))
+}
