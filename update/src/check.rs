@@ -91,6 +91,8 @@ pub struct Check {
     hash: Sha512,
     /// Bytes of the image in `hash`.
     hashed: u32,
+    /// The first key does not verify the signature.
+    is_second: bool,
 }
 
 impl Check {
@@ -124,7 +126,7 @@ impl Check {
         if manifest.counter < rules.counter {
             return Err(Refusal::LowerCounter);
         }
-        Ok(Self { rules, manifest, hash: Sha512::new(), hashed: 0 })
+        Ok(Self { rules, manifest, hash: Sha512::new(), hashed: 0, is_second: false })
     }
 
     /// Returns the manifest. It is not trusted before the signature is checked.
@@ -133,7 +135,8 @@ impl Check {
         &self.manifest
     }
 
-    /// Reads the next block. Returns the manifest after the last step, which checks the signature and takes by far the longest.
+    /// Reads the next block. Returns the manifest after the last step. One or two steps check the signature, one for each key;
+    /// they take by far the longest.
     ///
     /// # Errors
     /// [`Refusal`], after which the check must not be continued.
@@ -150,12 +153,11 @@ impl Check {
             return Ok(None);
         }
         // Not read again: the manifest that was checked must be the signed one, even if the flash reads differently each time.
-        self.hash.update(self.manifest.encode());
-        let digest = self.hash.finalize_reset();
+        let digest = self.hash.clone().chain_update(self.manifest.encode()).finalize();
         let mut signature = [0; SIGNATURE_LEN];
         read(slot, self.manifest.length, &mut signature)?;
-        if verify(&self.rules.keys.first, &digest, &signature) {
-            return Ok(Some(self.manifest));
+        if !core::mem::replace(&mut self.is_second, true) {
+            return Ok(verify(&self.rules.keys.first, &digest, &signature).then_some(self.manifest));
         }
         if !verify(&self.rules.keys.second, &digest, &signature) {
             return Err(Refusal::WrongSignature);

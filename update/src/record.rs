@@ -13,7 +13,7 @@ pub enum Phase {
     /// The image in slot A is confirmed.
     Confirmed = 1,
     /// The slots are to be exchanged, are being exchanged, or were exchanged and the image in slot A is on trial. A reset during
-    /// the trial exchanges them again.
+    /// the trial returns the previous image.
     Update = 2,
     /// The previous image was restored.
     Restored = 3,
@@ -22,18 +22,19 @@ pub enum Phase {
 /// Record of the boot loader's state: written by the firmware to request an update and to confirm it, otherwise by the boot
 /// loader.
 ///
-/// A record interrupted by a power failure can read complete at one start and incomplete at the next. So save a state
-/// [`again`](Self::again) before changing anything else on its account, such as slot B or [`Trust`].
+/// A record interrupted by a power failure can read complete at one start and incomplete at the next. So a state is saved
+/// [`again`](Self::again) before anything else is changed on its account: slots, settings or [`Trust`]. The boot loader does
+/// so at its start, and the firmware after it has requested or confirmed an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BootState {
     /// The phase.
     pub phase: Phase,
-    /// Pages to exchange, in the first phase that needs it.
+    /// Pages to exchange; 0 before the boot loader has checked the image in slot B.
     pub pages: u16,
     /// Finished steps of the exchange and of the return, two for each page.
     pub progress: u16,
-    /// Distinguishes a record from the previous one with the same content.
-    alternates: bool,
+    /// Number of times that the state was saved again; distinguishes its records.
+    pub repeats: u8,
 }
 
 impl BootState {
@@ -41,50 +42,41 @@ impl BootState {
     pub const LEN: usize = 8;
 
     /// State of a board without a record.
-    pub const INITIAL: Self = Self { phase: Phase::Confirmed, pages: 0, progress: 0, alternates: false };
+    pub const INITIAL: Self = Self { repeats: 1, ..Self::new(Phase::Confirmed) };
+
+    /// Returns a state without pages and progress: the request of an update, or its confirmation.
+    #[must_use]
+    pub const fn new(phase: Phase) -> Self {
+        Self { phase, pages: 0, progress: 0, repeats: 0 }
+    }
 
     /// Returns whether the image in slot A is on trial, as seen by the firmware.
     #[must_use]
     pub const fn is_trial(&self) -> bool {
-        matches!(self.phase, Phase::Update)
+        matches!(self.phase, Phase::Update) && self.pages > 0
     }
 
-    /// Returns the next state, with this phase and without progress.
-    #[must_use]
-    pub const fn next(self, phase: Phase, pages: u16) -> Self {
-        Self { phase, pages, progress: 0, alternates: !self.alternates }
-    }
-
-    /// Returns the state that requests an exchange of the slots, for two files and pages of this length in bytes.
-    #[must_use]
-    pub fn request(self, files: [u32; 2], page_len: u32) -> Self {
-        let [a, b] = files;
-        let pages = a.max(b).checked_next_multiple_of(page_len).and_then(|len| len.checked_div(page_len));
-        self.next(Phase::Update, u16::try_from(pages.unwrap_or(0)).unwrap_or(0))
-    }
-
-    /// Returns the same state as a record that differs from the previous one.
+    /// Returns the same state for another record.
     #[must_use]
     pub const fn again(self) -> Self {
-        Self { alternates: !self.alternates, ..self }
+        Self { repeats: self.repeats.wrapping_add(1), ..self }
     }
 
     /// Returns the payload.
     #[must_use]
     pub const fn encode(&self) -> [u8; Self::LEN] {
         let ([p0, p1], [s0, s1]) = (self.pages.to_le_bytes(), self.progress.to_le_bytes());
-        [self.phase as u8, self.alternates as u8, p0, p1, s0, s1, 0, 0]
+        [self.phase as u8, self.repeats, p0, p1, s0, s1, 0, 0]
     }
 
     /// Parses a payload. Returns `None` if it is not a state of this version.
     #[must_use]
     pub fn decode(version: u16, payload: &[u8]) -> Option<Self> {
-        let &[phase, alternates, p0, p1, s0, s1, 0, 0] = payload else { return None };
+        let &[phase, repeats, p0, p1, s0, s1, 0, 0] = payload else { return None };
         let phases = [Phase::Confirmed, Phase::Update, Phase::Restored];
         let phase = phases.into_iter().find(|known| *known as u8 == phase)?;
         let (pages, progress) = (u16::from_le_bytes([p0, p1]), u16::from_le_bytes([s0, s1]));
-        let is_known = version == RECORD_VERSION && alternates <= 1;
-        is_known.then_some(Self { phase, pages, progress, alternates: alternates == 1 })
+        (version == RECORD_VERSION).then_some(Self { phase, pages, progress, repeats })
     }
 }
 
@@ -139,16 +131,15 @@ mod tests {
 
     #[test]
     fn states_are_parsed_again_and_other_payloads_are_not() {
-        let state = BootState::INITIAL.request([6_000, 9_000], 2_048);
-        assert_eq!((state.phase, state.pages, state.progress), (Phase::Update, 5, 0));
-        assert!(state.is_trial() && !state.next(Phase::Restored, 0).is_trial());
-        for state in [BootState::INITIAL, state, state.again(), BootState { progress: 300, ..state }] {
+        let requested = BootState::new(Phase::Update);
+        let trial = BootState { pages: 96, progress: 300, ..requested };
+        assert!(trial.is_trial() && !requested.is_trial() && !BootState::new(Phase::Restored).is_trial());
+        for state in [BootState::INITIAL, requested, trial, trial.again()] {
             assert_eq!(BootState::decode(RECORD_VERSION, &state.encode()), Some(state));
             assert_ne!(state.encode(), state.again().encode());
             assert_eq!(BootState::decode(RECORD_VERSION + 1, &state.encode()), None);
             assert_eq!(BootState::decode(RECORD_VERSION, &state.encode()[..7]), None);
         }
         assert_eq!(BootState::decode(RECORD_VERSION, &[0; 8]), None);
-        assert_eq!(BootState::decode(RECORD_VERSION, &[2, 2, 0, 0, 0, 0, 0, 0]), None);
     }
 }
