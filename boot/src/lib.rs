@@ -26,10 +26,26 @@ pub use records::Records;
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embedded_storage::nor_flash::NorFlash;
 use wsg_bridge_fw::storage::{self, Store};
-use wsg_update::{BootState, Check, Keys, Manifest, Phase, Refusal, Rules, SIGNATURE_LEN, Target, Trust};
+use wsg_update::{
+    BootState, Check, Keys, Manifest, Phase, PublicKey, Refusal, Rules, SIGNATURE_LEN, Target, Trust,
+};
 
 use slot::Slot;
 use state::{NotSaved, State};
+
+/// The check of a signature in a boot loader, [`wsg_update::verify`], whose address is at the start of its flash plus
+/// [`VERIFY_AT`]. The firmware calls it instead of containing it again. It uses up to 8 KiB of the caller's stack, and no other
+/// RAM.
+pub type Verify = extern "C" fn(&PublicKey, &[u8; 64], &[u8; SIGNATURE_LEN]) -> bool;
+
+/// Offset of a [`Verify`] from the boot loader's vector table (`boot/board-memory.x` of each board).
+pub const VERIFY_AT: usize = 0x3FC;
+
+/// The boot loader's [`Verify`].
+#[must_use]
+pub extern "C" fn verify(key: &PublicKey, digest: &[u8; 64], signature: &[u8; SIGNATURE_LEN]) -> bool {
+    wsg_update::verify(key, digest, signature)
+}
 
 /// Bytes copied at once: a page of the Pico's flash. It divides every board's erase page.
 const COPIED: usize = 256;

@@ -55,7 +55,7 @@ impl<const PAGE: usize, const UNIT: usize> Board<PAGE, UNIT> {
         Self(SlotFlash::with(pages, SLOT))
     }
 
-    /// Resets the board. Returns the manifest of the image that runs; its bytes are those of one of the files.
+    /// Resets the board. Returns the version of the image that runs, and checks that it is one of the files.
     fn start(&self, files: &[&[u8]]) -> Result<u8, Stopped> {
         let manifest = self.0.parts().start(TARGET, keys(), &|| {})?;
         let mut found = vec![0; manifest.length as usize + SIGNATURE_LEN];

@@ -33,10 +33,8 @@ pub(crate) use self::state::State;
 
 /// Monitors and configures a bridge over its service port (the USB connector of its board), or a gateway; never moves the fingers
 #[derive(Args, Debug)]
-#[command(subcommand_negates_reqs = true)]
 pub(crate) struct Arguments {
     /// Serial port, such as /dev/ttyACM0 or COM3, or tcp://HOST[:502][?unit=1] of a gateway; not for keygen and sign
-    #[arg(required = true)]
     port: Option<String>,
     #[command(subcommand)]
     command: Command,

@@ -36,6 +36,52 @@ pub struct Keys {
     pub second: PublicKey,
 }
 
+impl Keys {
+    /// The keys of the boot loader: those in the variables `WSG_FIRST_KEY` and `WSG_SECOND_KEY` at its build, as 64 hexadecimal
+    /// digits, otherwise [`TEST`](Self::TEST).
+    pub const BUILT_IN: Self = Self {
+        first: given(option_env!("WSG_FIRST_KEY"), Self::TEST.first),
+        second: given(option_env!("WSG_SECOND_KEY"), Self::TEST.second),
+    };
+
+    /// Keys for tests, without any protection: the private keys are 32 bytes 01h, and 32 bytes 02h.
+    pub const TEST: Self = Self {
+        first: parse("8a88e3dd7409f195fd52db2d3cba5d72ca6709bf1d94121bf3748801b40f6f5c"),
+        second: parse("8139770ea87d175f56a35466c34c7ecccb8d8a91b4ee37a25df60f5b8fc9b394"),
+    };
+}
+
+const fn given(digits: Option<&str>, default: PublicKey) -> PublicKey {
+    match digits {
+        Some(digits) => parse(digits),
+        None => default,
+    }
+}
+
+/// Parses 64 hexadecimal digits at compile time.
+#[expect(
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::arithmetic_side_effects,
+    reason = "evaluated at compile time"
+)]
+const fn parse(digits: &str) -> PublicKey {
+    assert!(digits.len() == 64, "a key has 64 hexadecimal digits");
+    let mut key = [0; 32];
+    let mut at = 0;
+    while at < 64 {
+        let digit = match digits.as_bytes()[at] {
+            digit @ b'0'..=b'9' => digit - b'0',
+            digit @ b'a'..=b'f' => digit - b'a' + 10,
+            digit @ b'A'..=b'F' => digit - b'A' + 10,
+            _ => panic!("a key has 64 hexadecimal digits"),
+        };
+        key[at / 2] = key[at / 2] << 4 | digit;
+        at += 1;
+    }
+    key
+}
+
 /// Conditions for an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rules {
@@ -141,6 +187,18 @@ impl Check {
     /// # Errors
     /// [`Refusal`], after which the check must not be continued.
     pub fn step(&mut self, slot: &mut impl SlotReader) -> Result<Option<Manifest>, Refusal> {
+        self.step_with(slot, verify)
+    }
+
+    /// Does the same with another implementation of [`verify`], such as the boot loader's, which a firmware need not contain again.
+    ///
+    /// # Errors
+    /// Like [`step`](Self::step).
+    pub fn step_with(
+        &mut self,
+        slot: &mut impl SlotReader,
+        verify: impl Fn(&PublicKey, &[u8; 64], &[u8; SIGNATURE_LEN]) -> bool,
+    ) -> Result<Option<Manifest>, Refusal> {
         let program = self.manifest.length.saturating_sub(Manifest::LEN as u32);
         let left = program.saturating_sub(self.hashed);
         if left > 0 {
@@ -153,7 +211,7 @@ impl Check {
             return Ok(None);
         }
         // Not read again: the manifest that was checked must be the signed one, even if the flash reads differently each time.
-        let digest = self.hash.clone().chain_update(self.manifest.encode()).finalize();
+        let digest = self.hash.clone().chain_update(self.manifest.encode()).finalize().into();
         let mut signature = [0; SIGNATURE_LEN];
         read(slot, self.manifest.length, &mut signature)?;
         if !core::mem::replace(&mut self.is_second, true) {

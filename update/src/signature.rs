@@ -5,12 +5,16 @@ use sha2::{Digest, Sha512};
 
 use crate::{PublicKey, SIGNATURE_LEN};
 
-/// Returns whether this is the signature of the message with the key.
+/// Returns whether this is the signature of an image's digest with the key. Uses only the stack.
 ///
 /// Like `ed25519-dalek`, it rejects a scalar that is not reduced. It uses that crate's arithmetic, in constant time, because
 /// the variable one has a panic path.
 #[must_use]
-pub fn verify(key: &PublicKey, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> bool {
+pub fn verify(key: &PublicKey, digest: &[u8; 64], signature: &[u8; SIGNATURE_LEN]) -> bool {
+    verify_message(key, digest, signature)
+}
+
+fn verify_message(key: &PublicKey, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> bool {
     let (Some(r), Some(s)) = (signature.first_chunk::<32>(), signature.last_chunk::<32>()) else {
         return false;
     };
@@ -42,12 +46,12 @@ mod tests {
             "6291d657deec24024827e69c3abe01a30ce548a284743a445e3680d7db5ac3ac",
             "18ff9b538d16f290ae67f760984dc6594a7c15e9716ed28dc027beceea1ec40a"
         ));
-        assert!(verify(&key, &[0xAF, 0x82], &signature));
-        assert!(!verify(&key, &[0xAF, 0x83], &signature));
+        assert!(verify_message(&key, &[0xAF, 0x82], &signature));
+        assert!(!verify_message(&key, &[0xAF, 0x83], &signature));
         for bit in 0..512 {
             let mut changed = signature;
             changed[bit / 8] ^= 1 << (bit % 8);
-            assert!(!verify(&key, &[0xAF, 0x82], &changed), "bit {bit}");
+            assert!(!verify_message(&key, &[0xAF, 0x82], &changed), "bit {bit}");
         }
     }
 
@@ -59,6 +63,6 @@ mod tests {
             "6291d657deec24024827e69c3abe01a30ce548a284743a445e3680d7db5ac3ac",
             "05d391b0a77904e98404ef037747a56e4a7c15e9716ed28dc027beceea1ec41a"
         ));
-        assert!(!verify(&key, &[0xAF, 0x82], &signature));
+        assert!(!verify_message(&key, &[0xAF, 0x82], &signature));
     }
 }

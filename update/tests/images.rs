@@ -54,6 +54,11 @@ fn image_of_either_key_is_accepted_at_every_length_and_no_other_key() {
 }
 
 #[test]
+fn test_keys_are_those_of_their_private_keys() {
+    assert_eq!(Keys::TEST, rules(0).keys);
+}
+
+#[test]
 fn each_wrong_image_is_refused_by_name() {
     let signed = |manifest: Manifest| file(&program(100), manifest, &key(2)).unwrap();
     let good = signed(manifest(5));
