@@ -34,8 +34,7 @@ use slot::Slot;
 use state::{NotSaved, State};
 
 /// The check of a signature in a boot loader, [`wsg_update::verify`], whose address is at the start of its flash plus
-/// [`VERIFY_AT`]. The firmware calls it instead of containing it again. It uses up to 8 KiB of the caller's stack, and no other
-/// RAM.
+/// [`VERIFY_AT`]. The firmware calls it instead of containing it again. It uses some KiB of the caller's stack, and no other RAM.
 pub type Verify = extern "C" fn(&PublicKey, &[u8; 64], &[u8; SIGNATURE_LEN]) -> bool;
 
 /// Offset of a [`Verify`] from the boot loader's vector table (`boot/board-memory.x` of each board).
