@@ -5,11 +5,20 @@ use std::path::PathBuf;
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    if env::var_os("CARGO_FEATURE_FIRMWARE").is_none() {
+    let has = |feature| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
+    let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    for (feature, folder) in [("BOOT", "boot"), ("SLOT", "slot")] {
+        if has(feature) {
+            let memory = board.join(folder);
+            println!("cargo:rerun-if-changed={}", memory.display());
+            println!("cargo:rustc-link-search={}", memory.display());
+            return;
+        }
+    }
+    if !has("FIRMWARE") {
         return;
     }
     // link.x of cortex-m-rt includes the top-level memory.x, which includes the board's.
-    let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     println!("cargo:rerun-if-changed={}", board.join("board-memory.x").display());
     println!("cargo:rustc-link-search={}", board.display());
     // Fails the link of an image that does not fit into a slot for updates.

@@ -9,14 +9,15 @@ use document::{hold, read};
 /// Bytes for the boot loader, at the start of flash.
 const BOOT: u64 = 32 * 1024;
 
+/// Bytes of a slot after the program.
+const MANIFEST_AND_SIGNATURE: u64 = (wsg_update::Manifest::LEN + wsg_update::SIGNATURE_LEN) as u64;
+
 /// A board, and the facts of its flash.
 struct Board {
     name: &'static str,
     flash: Range<u64>,
     /// Unit of an erase.
     page: u64,
-    /// Unit of a write.
-    unit: u64,
     /// Address of the settings since their introduction.
     settings: u64,
     /// Source of the settings' driver, and its statement of their address.
@@ -28,7 +29,6 @@ const BOARDS: [Board; 3] = [
         name: "b-l475e-iot01a",
         flash: 0x0800_0000..0x0810_0000,
         page: 2_048,
-        unit: 8,
         settings: 0x080F_F000,
         driver: ("boards/stm32/src/chip.rs", "FLASH_END: usize = 0x0810_0000"),
     },
@@ -36,7 +36,6 @@ const BOARDS: [Board; 3] = [
         name: "nucleo-g474re",
         flash: 0x0800_0000..0x0808_0000,
         page: 2_048,
-        unit: 8,
         settings: 0x0807_F000,
         driver: ("boards/stm32/src/chip.rs", "FLASH_END: usize = 0x0808_0000"),
     },
@@ -44,7 +43,6 @@ const BOARDS: [Board; 3] = [
         name: "pico",
         flash: 0x1000_0000..0x1020_0000,
         page: 4_096,
-        unit: 1,
         settings: 0x101F_E000,
         driver: (
             "boards/pico/src/firmware/flash.rs",
@@ -67,7 +65,12 @@ fn number(text: &str) -> u64 {
 
 /// Returns the regions of flash in a board's linker script.
 fn regions(board: &Board) -> BTreeMap<String, Range<u64>> {
-    let script = read(&format!("boards/{}/board-memory.x", board.name));
+    regions_in(&format!("boards/{}/board-memory.x", board.name))
+}
+
+/// Returns the regions of flash in a linker script.
+fn regions_in(script: &str) -> BTreeMap<String, Range<u64>> {
+    let script = read(script);
     let lines = script.lines().filter_map(|line| line.split_once(": ORIGIN = "));
     let regions = lines.map(|(name, rest)| {
         let (origin, length) = rest.split_once(", LENGTH = ").unwrap();
@@ -99,7 +102,7 @@ fn addresses_of_the_settings_are_those_of_the_first_release() {
 fn flash_has_room_for_boot_loader_and_two_slots() {
     let slot = slot();
     for board in &BOARDS {
-        let Board { name, page, unit, .. } = *board;
+        let Board { name, page, .. } = *board;
         let regions = regions(board);
         let mut sorted: Vec<_> = regions.values().cloned().collect();
         sorted.sort_by_key(|region| region.start);
@@ -111,10 +114,13 @@ fn flash_has_room_for_boot_loader_and_two_slots() {
         }
         let len = |region: &str| regions[region].end - regions[region].start;
         assert!(board.flash.start + BOOT + slot <= regions["FLASH"].end, "{name}");
-        // The exchange of the slots needs one spare page, and notes each step of exchange and return (embassy-boot).
+        // The exchange of the slots needs one spare page. A record needs two pages.
         assert_eq!((slot % page, len("DFU")), (0, slot + page), "{name}");
-        assert!(len("BOOTLOADER_STATE") >= (2 + 4 * (slot / page)) * unit, "{name}");
-        assert!(len("ROLLBACK") >= 2 * page, "{name}");
+        assert_eq!((len("BOOTLOADER_STATE"), len("ROLLBACK")), (2 * page, 2 * page), "{name}");
+        let part = |part: &str| regions_in(&format!("boards/{name}/{part}/board-memory.x"))["FLASH"].clone();
+        assert_eq!(part("boot").end, board.flash.start + BOOT, "{name}");
+        let image = board.flash.start + BOOT..board.flash.start + BOOT + slot - MANIFEST_AND_SIGNATURE;
+        assert_eq!((part("slot"), u64::from(wsg_update::SLOT_LEN)), (image, slot), "{name}");
     }
 }
 

@@ -84,6 +84,24 @@ pub(crate) fn build(toolchain: &ThumbToolchain<'_>, variant: &Variant) -> Result
     keep(board, &elf, &kept)
 }
 
+/// Builds a board's default image, linked for slot A of the boot loader.
+pub(crate) fn build_for_slot(toolchain: &ThumbToolchain<'_>, board: &'static Board) -> Result<Image> {
+    let features = ["slot", PANIC_FREE].map(str::to_owned).to_vec();
+    build(toolchain, &Variant { board, features, settings: Vec::new() })
+}
+
+/// Builds a board's boot loader, which links only if no panic is reachable and 32 KiB suffice.
+pub(crate) fn boot_loader(toolchain: &ThumbToolchain<'_>, board: &'static Board) -> Result<Image> {
+    let name = format!("boot-{}", board.name);
+    let mut cargo = toolchain.cargo("build", board.triple);
+    let features = format!("boot,{PANIC_FREE}");
+    cargo.args(["-p", &format!("wsg-{}", board.name), "--bin", &name, "--features", &features]);
+    process::run(cargo.args(["--profile", PROFILE]))?;
+    let built = toolchain.output_dir(board.triple, PROFILE).join(&name);
+    let elf = fs::read(&built).with_context(|| format!("cannot read the boot loader {}", built.display()))?;
+    keep(board, &elf, &toolchain.workspace.target_dir.join("firmware").join(name + ".elf"))
+}
+
 /// Builds the default images of all boards, the default board's first.
 pub(crate) fn build_all(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Image>> {
     BOARDS.iter().map(|board| build(toolchain, &Variant { board, ..Variant::default() })).collect()

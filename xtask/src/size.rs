@@ -3,6 +3,7 @@
 use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result};
+use boards::{BOARDS, Board};
 use footprint::{Footprint, Section};
 
 use crate::{
@@ -38,9 +39,13 @@ const C_LIBRARY: [(&str, &[&str], u64); 2] = [
 ];
 const C_RAM_LIMIT: u64 = 640;
 
+/// Flash limit of the boot loaders: their part of the flash.
+const BOOT_LOADER_LIMIT: u64 = 32 * 1024;
+
 /// Returns all gates.
 pub(crate) fn of_all(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
-    Ok([of_images(images)?, of_protocol(toolchain)?, of_c_library(toolchain)?].concat())
+    Ok([of_images(images)?, of_boot_loaders(toolchain)?, of_protocol(toolchain)?, of_c_library(toolchain)?]
+        .concat())
 }
 
 /// Returns the gates of the boards' images.
@@ -56,6 +61,16 @@ pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
         gates.push(Gate::bytes(board.figure("firmware image, static RAM"), static_ram, STATIC_RAM_LIMIT));
     }
     Ok(gates)
+}
+
+/// Returns the gates of the boards' boot loaders.
+pub(crate) fn of_boot_loaders(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Gate>> {
+    let gate = |board: &'static Board| {
+        let Footprint { flash, .. } =
+            Footprint::of(&sections_of(&firmware::boot_loader(toolchain, board)?.path)?);
+        Ok(Gate::bytes(board.figure("boot loader, flash"), flash, BOOT_LOADER_LIMIT))
+    };
+    BOARDS.iter().map(gate).collect()
 }
 
 /// Reads the sections of a program.

@@ -147,6 +147,12 @@ impl Checks<'_> {
                     }
                     emulated.push((format!("{variable}{ending}"), image.path));
                 }
+                emulated
+                    .push((format!("WSG_BOOT_ELF{ending}"), firmware::boot_loader(toolchain, board)?.path));
+                emulated.push((
+                    format!("WSG_SLOT_ELF{ending}"),
+                    firmware::build_for_slot(toolchain, board)?.path,
+                ));
             }
             Ok(Peers { masters, emulated, python: setup::python(toolchain.workspace) })
         })
@@ -191,7 +197,10 @@ impl Checks<'_> {
         rustix::process::nice(10)?;
         let toolchain = self.toolchain;
         let images = firmware::build_all(toolchain)?;
-        let sizes = || anyhow::Ok([size::of_images(&images)?, size::of_protocol(toolchain)?].concat());
+        let sizes = || {
+            let boot_loaders = size::of_boot_loaders(toolchain)?;
+            anyhow::Ok([size::of_images(&images)?, boot_loaders, size::of_protocol(toolchain)?].concat())
+        };
         record.check("size", || gate::check(&sizes()?))?;
         if masters.missing.contains(&"arm_none_eabi_gcc") {
             record.not_checked("size of the C library (no arm-none-eabi-gcc)");

@@ -8,7 +8,11 @@ pub(crate) use stm32l475vg::*;
 /// STM32L475VG (RM0351).
 #[cfg(feature = "stm32l475vg")]
 mod stm32l475vg {
+    #[cfg(feature = "boot")]
+    use stm32_metapac::RCC;
     use stm32_metapac::flash::regs::{Cr, Eccr};
+    #[cfg(feature = "boot")]
+    use stm32_metapac::rcc::vals::Sw;
     use stm32_metapac::usart::Lpuart;
 
     /// Core clock from reset until the board switches it: MSI.
@@ -38,6 +42,14 @@ mod stm32l475vg {
     /// Returns whether a load found data with two wrong bits.
     pub(crate) fn is_uncorrectable(flags: Eccr) -> bool {
         flags.eccd()
+    }
+
+    /// Returns to the clock of reset, for the image that follows a boot loader.
+    #[cfg(feature = "boot")]
+    pub(crate) fn stop_clock() {
+        RCC.cfgr().modify(|w| w.set_sw(Sw::MSI));
+        let _ = (0..RESET_HZ / 400).any(|_| RCC.cfgr().read().sws() == Sw::MSI);
+        RCC.cr().modify(|w| w.set_pllon(false));
     }
 
     /// This chip has no prescaler.
@@ -85,6 +97,10 @@ mod stm32g474re {
     pub(crate) fn is_uncorrectable(flags: Eccr) -> bool {
         flags.eccd() || flags.eccd2()
     }
+
+    /// The boot loader does not start the clock.
+    #[cfg(feature = "boot")]
+    pub(crate) const fn stop_clock() {}
 
     /// Sets the prescaler to 2 or 1.
     pub(crate) fn halve_clock(uart: Lpuart, is_halved: bool) {

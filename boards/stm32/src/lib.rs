@@ -22,6 +22,9 @@ pub use wires::{
 
 #[cfg(target_os = "none")]
 pub mod board;
+#[cfg(all(target_os = "none", feature = "boot"))]
+#[expect(unsafe_code, reason = "the jump to an image")]
+mod boot;
 #[cfg(target_os = "none")]
 pub mod bus;
 #[cfg(target_os = "none")]
@@ -56,6 +59,8 @@ mod unique_id;
 #[cfg(target_os = "none")]
 mod watchdog;
 
+#[cfg(all(target_os = "none", feature = "boot"))]
+pub use boot::boot;
 #[cfg(target_os = "none")]
 pub use run::run;
 #[cfg(target_os = "none")]

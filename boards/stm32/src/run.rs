@@ -8,7 +8,7 @@ use wsg_bridge_fw::{Board, BoardId, Config, Hardware, Station};
 
 use crate::board::Stm32Board;
 use crate::chip::RESET_HZ;
-use crate::flash::SettingsPages;
+use crate::flash::RecordPages;
 use crate::gpio::Led;
 use crate::watchdog::Watchdog;
 use crate::{bus, delivered, flash, gpio, gripper_line, reset, unique_id, watchdog};
@@ -43,7 +43,7 @@ struct Registers<B> {
 
 impl<B: Stm32Board> Hardware for Registers<B> {
     type Can = B::Can;
-    type Flash = SettingsPages;
+    type Flash = RecordPages;
 
     fn delivered() -> Record {
         delivered::settings()

@@ -25,9 +25,19 @@ pub(crate) struct Watchdog(());
 
 /// Starts the watchdog. Only a reset stops it.
 pub(crate) fn start() -> Watchdog {
+    start_with(Pr::DIVIDE_BY4)
+}
+
+/// Starts the watchdog with 32 times the time-out, for a check of a signature at the reset clock.
+#[cfg(feature = "boot")]
+pub(crate) fn start_for_boot() -> Watchdog {
+    start_with(Pr::DIVIDE_BY128)
+}
+
+fn start_with(prescaler: Pr) -> Watchdog {
     IWDG.kr().write_value(KEY_START);
     IWDG.kr().write_value(KEY_UNLOCK);
-    IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY4));
+    IWDG.pr().write(|w| w.set_pr(prescaler));
     IWDG.rlr().write(|w| w.0 = RELOAD);
     // If the values are never accepted, the watchdog uses its reset values: 512 ms.
     let _ = (0..MAX_READS).any(|_| IWDG.sr().read().0 == 0);

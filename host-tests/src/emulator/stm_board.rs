@@ -14,12 +14,14 @@ pub struct StmBoard {
     /// Part of the mangled name of the firmware's millisecond counter, by which an image shows its board.
     counter: &'static str,
     pub(super) inputs: &'static [InputWire; Inputs::COUNT],
-    pub(super) output_port: Port,
-    pub(super) outputs: &'static [OutputWire; Outputs::COUNT],
+    /// The port of the output wires.
+    pub output_port: Port,
+    /// The output wires.
+    pub outputs: &'static [OutputWire; Outputs::COUNT],
     /// The lines of gripper, bus and service port, as numbers in QEMU's order: USART1 to USART3, UART4, UART5, LPUART1.
     pub(super) serial: [usize; 3],
     /// Options of QEMU.
-    pub(super) options: &'static [&'static str],
+    pub options: &'static [&'static str],
     /// FLASH_ACR is served, because QEMU reads it as 0, and the firmware waits for what it wrote.
     pub(super) reads_acr: bool,
     /// Words to store after a reset of the machine.

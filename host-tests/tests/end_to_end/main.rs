@@ -15,5 +15,6 @@ mod modbus_tcp;
 mod profibus;
 #[cfg(target_os = "linux")]
 mod profinet;
+mod signatures;
 #[cfg(unix)]
 mod wine;

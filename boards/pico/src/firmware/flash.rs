@@ -1,4 +1,4 @@
-//! The settings' two sectors at the end of the QSPI flash, and the chip's ID (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV).
+//! Pairs of sectors for records at the end of the QSPI flash, and the chip's ID (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV).
 //!
 //! The program runs from the same flash. Erasing a sector takes 45 ms (maximum 400 ms), programming a page up to 3 ms.
 //! Meanwhile the flash cannot be read, and only a few instructions in RAM and the boot ROM run. Operations therefore run only
@@ -13,11 +13,11 @@ use crate::watchdog;
 
 /// Offset of the first sector: the end of 2 MiB less two sectors. `board-memory.x` reserves them.
 const FIRST_SECTOR: u32 = 2 * 1024 * 1024 - 2 * SECTOR_BYTES as u32;
-const SECTOR_BYTES: usize = 4096;
+pub(crate) const SECTOR_BYTES: usize = 4096;
 const DOUBLE_WORD_BYTES: usize = 8;
 
 /// Number of bytes programmed at once. Bits that stay 1 are unchanged, so a page can be programmed in parts.
-const PROGRAM_BYTES: usize = 256;
+pub(crate) const PROGRAM_BYTES: usize = 256;
 
 /// The instruction with which the boot ROM erases a block of 64 KiB, if a range covers one.
 const ERASE_BLOCK: u8 = 0xD8;
@@ -60,8 +60,10 @@ enum Operation {
     Program(u32),
 }
 
-/// The settings' sectors and a pending operation.
-pub(crate) struct SettingsSectors {
+/// Two sectors for records, and a pending operation.
+pub(crate) struct RecordSectors {
+    /// Offset of the first sector.
+    first: u32,
     operation: Operation,
     /// The result of the last operation.
     result: Result<(), FlashError>,
@@ -69,10 +71,16 @@ pub(crate) struct SettingsSectors {
     boot2: [u32; BOOT2_WORDS],
 }
 
-impl SettingsSectors {
+impl RecordSectors {
     /// Returns the settings' sectors. Call it once.
-    pub(crate) const fn new() -> Self {
+    pub(crate) const fn settings() -> Self {
+        Self::at(FIRST_SECTOR)
+    }
+
+    /// Returns the sectors at this offset from the start of flash.
+    pub(crate) const fn at(first: u32) -> Self {
         Self {
+            first,
             operation: Operation::Nothing,
             result: Ok(()),
             page: [0; PROGRAM_BYTES],
@@ -104,6 +112,28 @@ impl SettingsSectors {
         }
     }
 
+    /// Erases the sector at this offset at once.
+    #[cfg(feature = "boot")]
+    pub(crate) fn erase(&mut self, at: u32) -> Result<(), FlashError> {
+        self.run(Operation::Erase(at))
+    }
+
+    /// Programs the page at this offset at once.
+    #[cfg(feature = "boot")]
+    pub(crate) fn program(&mut self, at: u32, page: &[u8; PROGRAM_BYTES]) -> Result<(), FlashError> {
+        self.page = *page;
+        self.run(Operation::Program(at))
+    }
+
+    /// Returns the offset of a double word from the start of flash.
+    fn offset(&self, page: Page, index: usize) -> Option<u32> {
+        let sector = match page {
+            Page::First => self.first,
+            Page::Second => self.first.wrapping_add(SECTOR_BYTES as u32),
+        };
+        (index < Self::PAGE_LEN).then(|| sector.wrapping_add((index * DOUBLE_WORD_BYTES) as u32))
+    }
+
     fn run(&mut self, operation: Operation) -> Result<(), FlashError> {
         // SAFETY: the address is in the boot ROM. Without a ROM, the read returns another value.
         let magic = unsafe { with_exposed_provenance::<u32>(ROM_MAGIC_AT).read_volatile() };
@@ -123,7 +153,7 @@ impl SettingsSectors {
         };
         watchdog::wait_for_flash();
         // SAFETY: interrupts are disabled. The function is in RAM and uses only the ROM's functions and the buffers of this
-        // value. It erases and programs only the settings' sectors.
+        // value. It erases and programs only sectors of records and slots.
         cortex_m::interrupt::free(|_| unsafe {
             run_in_ram(&rom, operation, &mut self.page, &self.boot2);
         });
@@ -190,28 +220,23 @@ unsafe fn identify(answer: &mut [u8; PROGRAM_BYTES]) {
     }
 }
 
-/// Returns the offset of a double word from the start of flash.
-fn offset(page: Page, index: usize) -> Option<u32> {
-    let sector = match page {
-        Page::First => FIRST_SECTOR,
-        Page::Second => FIRST_SECTOR + SECTOR_BYTES as u32,
-    };
-    (index < SettingsSectors::PAGE_LEN).then(|| sector.wrapping_add((index * DOUBLE_WORD_BYTES) as u32))
+/// Reads the double word at an offset from the start of flash, a multiple of 8 in the flash.
+pub(crate) fn double_word(at: u32) -> u64 {
+    let low = with_exposed_provenance::<u32>(UNCACHED.wrapping_add(at as usize));
+    // SAFETY: both words are in flash and aligned. Only `run_in_ram` writes them.
+    let (low, high) = unsafe { (low.read_volatile(), low.wrapping_add(1).read_volatile()) };
+    u64::from(low) | u64::from(high) << 32
 }
 
-impl NorFlash for SettingsSectors {
+impl NorFlash for RecordSectors {
     const PAGE_LEN: usize = SECTOR_BYTES / DOUBLE_WORD_BYTES;
 
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
-        let at = UNCACHED.wrapping_add(offset(page, index).ok_or(Unreadable)? as usize);
-        let low = with_exposed_provenance::<u32>(at);
-        // SAFETY: both words are in flash and aligned. Only `run_in_ram` writes them.
-        let (low, high) = unsafe { (low.read_volatile(), low.wrapping_add(1).read_volatile()) };
-        Ok(u64::from(low) | u64::from(high) << 32)
+        Ok(double_word(self.offset(page, index).ok_or(Unreadable)?))
     }
 
     fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError> {
-        let at = offset(page, index).ok_or(FlashError::Failed)?;
+        let at = self.offset(page, index).ok_or(FlashError::Failed)?;
         let start = at as usize % PROGRAM_BYTES;
         self.page.fill(0xFF);
         let place = self.page.get_mut(start..).and_then(<[u8]>::first_chunk_mut);
@@ -221,7 +246,7 @@ impl NorFlash for SettingsSectors {
     }
 
     fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
-        self.operation = Operation::Erase(offset(page, 0).ok_or(FlashError::Failed)?);
+        self.operation = Operation::Erase(self.offset(page, 0).ok_or(FlashError::Failed)?);
         Ok(())
     }
 

@@ -37,9 +37,10 @@ use wsg_pico::NAME;
 
 use crate::board::Registers;
 use crate::can::Can;
-use crate::flash::SettingsSectors;
+use crate::flash::RecordSectors;
 
-/// The second boot stage, which makes flash readable as memory. The boot ROM runs it.
+/// The second boot stage, which makes flash readable as memory. The boot ROM runs it. With a boot loader, that one contains it.
+#[cfg(not(feature = "slot"))]
 #[unsafe(link_section = ".boot2")]
 #[unsafe(no_mangle)]
 #[used]
@@ -50,7 +51,7 @@ fn main() -> ! {
     // Too large for the stack. `entry` makes this safe, because it runs only once.
     static mut STATION: Station<Can> =
         Station::new(CanBus::new(can::controller(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
-    static mut FLASH: SettingsSectors = SettingsSectors::new();
+    static mut FLASH: RecordSectors = RecordSectors::settings();
 
     let reset_cause = watchdog::reset_cause();
     // Started before any wait, so that a failed start resets the MCU.

@@ -45,6 +45,7 @@ macro_rules! on_board {
     };
 }
 
+mod boot_loader;
 mod c_program;
 mod can;
 mod line_errors;
