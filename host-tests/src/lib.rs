@@ -90,6 +90,7 @@ pub mod registers;
 pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
+pub mod slot_model;
 pub mod socket;
 #[cfg(unix)]
 pub mod terminal;

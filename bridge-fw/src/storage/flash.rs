@@ -3,7 +3,9 @@
 //! `embedded-storage` does not fit: its operations block until completion, and its `read` fails completely if one double word
 //! is unreadable.
 
-/// Two pages of NOR flash for settings only, programmed in double words of 64 bits.
+use super::slot::Slot;
+
+/// Two pages of NOR flash for the settings, programmed in double words of 64 bits.
 ///
 /// Erased flash reads all ones. A double word can be programmed once after an erase, or to all zeros. Operations are started
 /// and polled, so that no caller waits.
@@ -38,6 +40,11 @@ pub trait NorFlash {
     /// # Errors
     /// [`nb::Error::WouldBlock`] during the operation, then its error if it failed.
     fn poll(&mut self) -> nb::Result<(), FlashError>;
+
+    /// Returns slot B, if a boot loader started this image. Without one, updates are refused.
+    fn slot(&mut self) -> Option<&mut dyn Slot> {
+        None
+    }
 }
 
 /// Page of the settings' flash.
