@@ -47,7 +47,7 @@ pub fn signed(len: usize, board: &str, version: [u8; 3]) -> Vec<u8> {
 #[derive(Clone, Copy, Debug)]
 enum Operation {
     Erase(usize),
-    Program(usize, [u8; SLOT_PAGE_LEN]),
+    Program(usize),
 }
 
 /// The simulated slot.
@@ -56,6 +56,8 @@ pub struct SlotModel {
     /// Content of the flash.
     pub bytes: Vec<u8>,
     running: Option<(Operation, u32)>,
+    /// Page that is being programmed.
+    page: [u8; SLOT_PAGE_LEN],
     check: Option<Check>,
     /// Number of busy results before an operation ends.
     pub busy_polls: u32,
@@ -76,6 +78,7 @@ impl SlotModel {
         Self {
             bytes: vec![0x55; SLOT_LEN as usize],
             running: None,
+            page: [0; SLOT_PAGE_LEN],
             check: None,
             busy_polls: 2,
             fails_at: None,
@@ -126,7 +129,9 @@ impl Slot for SlotModel {
 
     fn start_program(&mut self, at: u32, page: &[u8; SLOT_PAGE_LEN]) -> Result<(), FlashError> {
         assert!(at.is_multiple_of(SLOT_PAGE_LEN as u32), "{at}");
-        self.begin(Operation::Program(at as usize, *page))
+        self.begin(Operation::Program(at as usize))?;
+        self.page = *page;
+        Ok(())
     }
 
     fn poll(&mut self) -> nb::Result<(), FlashError> {
@@ -141,8 +146,8 @@ impl Slot for SlotModel {
                 self.bytes[at..at + SECTOR_LEN].fill(0xFF);
                 Ok(())
             }
-            Some((Operation::Program(at, page), _)) => {
-                self.bytes[at..].iter_mut().zip(page).for_each(|(old, new)| *old &= new);
+            Some((Operation::Program(at), _)) => {
+                self.bytes[at..].iter_mut().zip(self.page).for_each(|(old, new)| *old &= new);
                 Ok(())
             }
         }

@@ -542,7 +542,8 @@ fn update_is_checked_sent_with_repeats_continued_and_started() {
         file.to_str().unwrap().to_owned()
     };
     let running = [0, 1, 0];
-    let image = signed(3_000, BOARD.name, running);
+    // Its file records are in two files.
+    let image = signed(20_500, BOARD.name, running);
     let mut flipped = image.clone();
     flipped[1_000] ^= 1;
     let (file, foreign) = (write("image", &image), write("foreign", &signed(1_000, "pico", running)));
@@ -567,13 +568,13 @@ fn update_is_checked_sent_with_repeats_continued_and_started() {
     let expected = "the bridge refused the image: the signature is wrong; it keeps firmware 0.1.0";
     served.refused(&["update", &damaged, "--yes"], expected);
 
-    let block = image[..244].to_vec();
+    let block = image[..200].to_vec();
     served.act(move |plant| {
-        let request = [&[21, 251, 6, 0, 1, 0, 0, 0, 122], &block[..]].concat();
+        let request = [&[21, 207, 6, 0, 1, 0, 0, 0, 100], &block[..]].concat();
         plant.by_service(|plant| assert_eq!(plant.ask(&request), request));
     });
     served.faults.loses_answer.store(true, Ordering::SeqCst);
-    let expected = "continues after 244 bytes of an interrupted update\nsent and checked; the bridge restarts\n\
+    let expected = "continues after 200 bytes of an interrupted update\nsent and checked; the bridge restarts\n\
                     the bridge runs firmware 0.1.0; STOP/ACK ends the FAST STOP\n";
     assert_eq!(served.done(&["update", &file, "--yes", "--key", &second]), expected);
     assert!(!served.faults.loses_answer.load(Ordering::SeqCst), "a response was lost");

@@ -16,4 +16,6 @@ mod profibus;
 #[cfg(target_os = "linux")]
 mod profinet;
 #[cfg(unix)]
+mod update;
+#[cfg(unix)]
 mod wine;

@@ -336,11 +336,12 @@ impl Client {
     }
 }
 
-/// Most bytes of a block: a request with one group of file records.
-pub(crate) const BLOCK_LEN: usize = 244;
+/// Most bytes of a block: one group of file records. It divides a file, so no block is in two files.
+pub(crate) const BLOCK_LEN: usize = 200;
 
 /// Registers of a file, whose successor has the next bytes.
 const FILE_RECORDS: usize = 10_000;
+const _: () = assert!((2 * FILE_RECORDS).is_multiple_of(BLOCK_LEN));
 
 /// Returns a frame that writes a block as file records.
 fn block_request(at: usize, bytes: &[u8]) -> Vec<u8> {
