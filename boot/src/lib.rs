@@ -1,5 +1,6 @@
 //! The boot loader of the bridge (`docs/decisions.md`, "Updates in the field"), independent of boards: exchanges the two slots,
-//! and starts an image only after its checks. A board's crate has the program: its flash, its watchdog, and the jump.
+//! and starts an image only after its checks. A board's crate has the program: its flash, its watchdog, and the jump. [`Records`] is
+//! the firmware's side.
 //!
 //! The image always runs in slot A. [`start`] continues an interrupted exchange or begins a requested one, and checks slot A.
 //! If the new image does not confirm itself, the next start returns the previous image. If slot A is damaged, an intact image
@@ -16,8 +17,11 @@
     clippy::arithmetic_side_effects
 )]
 
+mod records;
 mod slot;
 mod state;
+
+pub use records::Records;
 
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embedded_storage::nor_flash::NorFlash;
@@ -60,9 +64,6 @@ impl From<NotSaved> for Stopped {
 }
 
 impl<A: NorFlash, B: NorFlash, S: storage::NorFlash, T: storage::NorFlash> Flash<A, B, S, T> {
-    /// Bytes of a page, the unit of the exchange.
-    const PAGE_LEN: u32 = if A::ERASE_SIZE > B::ERASE_SIZE { A::ERASE_SIZE } else { B::ERASE_SIZE } as u32;
-
     /// Prepares the start of slot A: returns the manifest of its image, which is checked and may be started.
     ///
     /// Calls `feed` at least after each operation of the slots, and before and after each check of a signature.
@@ -72,81 +73,7 @@ impl<A: NorFlash, B: NorFlash, S: storage::NorFlash, T: storage::NorFlash> Flash
     pub fn start(&mut self, target: Target, keys: Keys, feed: &dyn Fn()) -> Result<Manifest, Stopped> {
         let trust = load_trust(&self.trust);
         let rules = Rules { target, keys: trust.keys(keys), counter: trust.counter };
-        let mut state = State::load(&mut self.state);
-        // A state that may be half written must not read differently at the next start.
-        if state.now.phase == Phase::Update || state.now.repeats == 0 {
-            state.save(state.now.again())?;
-        }
-        // At most: an exchange, its return, and an exchange for a damaged slot A.
-        for _ in 0..3 {
-            if state.now.phase == Phase::Update {
-                let is_requested = state.now.pages == 0;
-                if is_requested && !begin_exchange(&mut self.a, &mut self.b, &mut state, rules, feed)? {
-                    continue;
-                }
-                exchange(&mut self.a, &mut self.b, &mut state, Self::PAGE_LEN, feed)?;
-            }
-            let refusal = match check(&mut self.a, rules, feed) {
-                Ok(manifest) => return Ok(manifest),
-                Err(refusal) => refusal,
-            };
-            if state.now.phase != Phase::Update {
-                if check(&mut self.b, rules, feed).is_err() {
-                    return Err(Stopped::NoImage(refusal));
-                }
-                state.save(BootState::new(Phase::Update))?;
-            }
-        }
-        Err(Stopped::Flash)
-    }
-}
-
-/// Checks the image in slot B and saves the number of pages to exchange. Returns `false` if the request is refused.
-fn begin_exchange<A: NorFlash, B: NorFlash, S: storage::NorFlash>(
-    a: &mut A,
-    b: &mut B,
-    state: &mut State<'_, S>,
-    rules: Rules,
-    feed: &dyn Fn(),
-) -> Result<bool, NotSaved> {
-    let Ok(new) = check(b, rules, feed) else {
-        state.save(BootState::new(Phase::Confirmed))?;
-        return Ok(false);
-    };
-    // The previous image must return completely. A damaged one need not.
-    let previous = check(a, rules, feed).map_or(0, |manifest| manifest.length);
-    let file = new.length.max(previous).saturating_add(SIGNATURE_LEN as u32);
-    let pages =
-        file.div_ceil(if A::ERASE_SIZE > B::ERASE_SIZE { A::ERASE_SIZE } else { B::ERASE_SIZE } as u32);
-    state.save(BootState { pages: pages as u16, ..BootState::new(Phase::Update) })?;
-    Ok(true)
-}
-
-/// Continues the exchange of the slots or, after the complete exchange, returns the previous image.
-fn exchange<A: NorFlash, B: NorFlash, S: storage::NorFlash>(
-    a: &mut A,
-    b: &mut B,
-    state: &mut State<'_, S>,
-    page_len: u32,
-    feed: &dyn Fn(),
-) -> Result<(), Stopped> {
-    let len = usize::from(state.now.pages).saturating_mul(page_len as usize);
-    let active = Slot::new(a, len, feed);
-    let dfu = Slot::new(b, len.saturating_add(page_len as usize), feed);
-    let mut engine = BootLoader::new(BootLoaderConfig { active, dfu, state });
-    engine.prepare_boot(&mut [0; COPIED]).map(|_| ()).map_err(|_| Stopped::Flash)
-}
-
-/// Checks the image in a slot.
-fn check(slot: &mut impl NorFlash, rules: Rules, feed: &dyn Fn()) -> Result<Manifest, Refusal> {
-    let mut slot = slot::Reader(slot);
-    let mut check = Check::begin(&mut slot, rules)?;
-    loop {
-        feed();
-        if let Some(manifest) = check.step(&mut slot)? {
-            feed();
-            return Ok(manifest);
-        }
+        Start { a: &mut self.a, b: &mut self.b, state: State::load(&mut self.state), rules, feed }.run()
     }
 }
 
@@ -155,4 +82,97 @@ fn load_trust(pages: &impl storage::NorFlash) -> Trust {
     let mut store = Store::<{ Trust::LEN }>::new();
     let record = store.load(pages).ok();
     record.and_then(|record| Trust::decode(record.version, record.payload)).unwrap_or_default()
+}
+
+/// A start in progress.
+struct Start<'a, A, B, S> {
+    a: &'a mut A,
+    b: &'a mut B,
+    state: State<'a, S>,
+    rules: Rules,
+    feed: &'a dyn Fn(),
+}
+
+impl<A: NorFlash, B: NorFlash, S: storage::NorFlash> Start<'_, A, B, S> {
+    /// Bytes of a page, the unit of the exchange.
+    const PAGE_LEN: u32 = if A::ERASE_SIZE > B::ERASE_SIZE { A::ERASE_SIZE } else { B::ERASE_SIZE } as u32;
+
+    fn run(mut self) -> Result<Manifest, Stopped> {
+        // A state that may be half written must not read differently at the next start.
+        if self.state.now.phase == Phase::Update || self.state.now.repeats == 0 {
+            self.state.save(self.state.now.again())?;
+        }
+        // At most: an exchange, its return, and an exchange for a damaged slot A.
+        for _ in 0..3 {
+            if self.state.now.phase == Phase::Update && self.state.now.pages == 0 {
+                self.begin_exchange()?;
+            }
+            if self.state.now.phase == Phase::Update {
+                self.exchange()?;
+            }
+            match check(self.a, 0, self.rules, self.feed) {
+                Ok(manifest) => return Ok(manifest),
+                // The previous image returns.
+                Err(_) if self.state.now.phase == Phase::Update => {}
+                Err(refusal) => {
+                    let replacement = self.replacement().ok_or(Stopped::NoImage(refusal))?;
+                    self.state.save(replacement)?;
+                }
+            }
+        }
+        Err(Stopped::Flash)
+    }
+
+    /// Checks the image in slot B. Saves the number of pages to exchange, or withdraws the request.
+    fn begin_exchange(&mut self) -> Result<(), NotSaved> {
+        let state = match check(self.b, 0, self.rules, self.feed) {
+            Ok(new) => {
+                // The previous image must return completely. A damaged one need not.
+                let previous = check(self.a, 0, self.rules, self.feed).map_or(0, |manifest| manifest.length);
+                let pages = Self::pages(new.length.max(previous));
+                BootState { pages, ..BootState::new(Phase::Update) }
+            }
+            Err(_) => BootState::new(Phase::Confirmed),
+        };
+        self.state.save(state)
+    }
+
+    /// Continues the exchange of the slots or, after the complete exchange, returns the previous image.
+    fn exchange(&mut self) -> Result<(), Stopped> {
+        let page_len = Self::PAGE_LEN as usize;
+        let len = usize::from(self.state.now.pages).saturating_mul(page_len);
+        let active = Slot::new(self.a, len, self.feed);
+        let dfu = Slot::new(self.b, len.saturating_add(page_len), self.feed);
+        let mut engine = BootLoader::new(BootLoaderConfig { active, dfu, state: &mut self.state });
+        engine.prepare_boot(&mut [0; COPIED]).map(|_| ()).map_err(|_| Stopped::Flash)
+    }
+
+    /// Returns the state with which an intact image in slot B replaces a damaged one in slot A.
+    fn replacement(&mut self) -> Option<BootState> {
+        let update = BootState::new(Phase::Update);
+        // An exchange leaves the previous image one page further, from where its return takes it.
+        if let Ok(previous) = check(self.b, Self::PAGE_LEN, self.rules, self.feed) {
+            let pages = Self::pages(previous.length);
+            return Some(BootState { pages, progress: pages.saturating_mul(2), ..update });
+        }
+        check(self.b, 0, self.rules, self.feed).ok().map(|_| update)
+    }
+
+    /// Returns the pages of the file of an image.
+    const fn pages(length: u32) -> u16 {
+        length.saturating_add(SIGNATURE_LEN as u32).div_ceil(Self::PAGE_LEN) as u16
+    }
+}
+
+/// Checks the image in a slot, from this offset.
+fn check(slot: &mut impl NorFlash, from: u32, rules: Rules, feed: &dyn Fn()) -> Result<Manifest, Refusal> {
+    let mut slot = slot::Reader { slot, from };
+    let mut check = Check::begin(&mut slot, rules)?;
+    loop {
+        feed();
+        if let Some(manifest) = check.step(&mut slot)? {
+            feed();
+            return Ok(manifest);
+        }
+    }
 }

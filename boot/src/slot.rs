@@ -74,11 +74,14 @@ impl<F: NorFlash> NorFlash for Slot<'_, F> {
     }
 }
 
-/// Reads a slot for a check.
-pub(crate) struct Reader<'a, F>(pub(crate) &'a mut F);
+/// Reads a slot for a check, from an offset.
+pub(crate) struct Reader<'a, F> {
+    pub(crate) slot: &'a mut F,
+    pub(crate) from: u32,
+}
 
 impl<F: ReadNorFlash> SlotReader for Reader<'_, F> {
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Unreadable> {
-        self.0.read(offset, bytes).map_err(|_| Unreadable)
+        self.slot.read(self.from.saturating_add(offset), bytes).map_err(|_| Unreadable)
     }
 }

@@ -331,17 +331,17 @@ impl FlashController {
     /// Returns the stored double word; [`None`] if it is unreadable.
     #[must_use]
     pub fn double_word(&self, page: Page, index: usize) -> Option<u64> {
-        self.lock().pages.read(page, index).ok()
+        self.lock().pages.read(page as usize, index).ok()
     }
 
     /// Sets a double word; [`None`] makes it unreadable.
     pub fn set(&self, page: Page, index: usize, value: Option<u64>) {
-        self.lock().pages.set(page, index, value);
+        self.lock().pages.set(page as usize, index, value);
     }
 
     /// Gives a double word a correctable error: it reads correctly and sets ECCC.
     pub fn set_correctable(&self, page: Page, index: usize) {
-        self.lock().correctable.insert(number(page, index));
+        self.lock().correctable.insert(number(page as usize, index));
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -350,15 +350,15 @@ impl FlashController {
 }
 
 /// Returns the index of a double word across both pages.
-const fn number(page: Page, index: usize) -> usize {
-    page as usize * PAGE_LEN + index
+const fn number(page: usize, index: usize) -> usize {
+    page * PAGE_LEN + index
 }
 
 impl State {
     /// Returns the double word at this address.
-    fn place(&self, address: u32) -> (Page, usize) {
+    fn place(&self, address: u32) -> (usize, usize) {
         let number = (address - self.layout.memory.start) as usize / 8;
-        (Page::ALL[number / PAGE_LEN], number % PAGE_LEN)
+        (number / PAGE_LEN, number % PAGE_LEN)
     }
 
     /// Resets the interface and discards an operation in progress; [`FlashController::cut`] models partial ones.
@@ -482,8 +482,7 @@ impl State {
                 None
             }
             _ if self.has_stale_error() => None,
-            Some(0) => Some(Page::First),
-            Some(1) => Some(Page::Second),
+            Some(page @ 0..2) => Some(page),
             _ => {
                 self.forbidden(format!("CR {:#010X}: erase of a page outside the settings", self.cr));
                 None
@@ -491,7 +490,7 @@ impl State {
         };
         match page {
             Some(page) => {
-                self.begin(Operation::Erase(page), ERASE_TIME);
+                self.begin(Operation::Erase(page as usize), ERASE_TIME);
                 self.erases += 1;
             }
             None => self.cr &= !STRT,
@@ -564,7 +563,7 @@ impl State {
                 cached.into_iter().for_each(|(_, of_cache)| *of_cache = value);
             }
             Operation::Erase(page) => {
-                self.is_cache_stale |= self.cached.iter().any(|(of, _)| of / PAGE_LEN == page as usize);
+                self.is_cache_stale |= self.cached.iter().any(|(of, _)| of / PAGE_LEN == page);
             }
         }
     }

@@ -83,19 +83,19 @@ impl FlashModel {
 
     /// Sets a double word; [`None`] makes it unreadable.
     pub fn set(&mut self, page: Page, index: usize, value: Option<u64>) {
-        self.pages.get_mut().set(page, index, value);
+        self.pages.get_mut().set(page as usize, index, value);
     }
 
     /// Makes reads of a double word vary between this value, its current value and an error.
     pub fn set_changing(&mut self, page: Page, index: usize, value: u64) {
-        self.pages.get_mut().set_changing(page, index, value);
+        self.pages.get_mut().set_changing(page as usize, index, value);
     }
 
     fn end(&mut self, operation: Operation) -> Result<(), FlashError> {
         match (self.fault, operation) {
             (Some(Fault::Swallows(_)), _) => return Ok(()),
             (Some(Fault::Unprogrammable(page, index)), Operation::Program(of, n, _))
-                if (page, index) == (of, n) =>
+                if (page as usize, index) == (of, n) =>
             {
                 return Err(FlashError::Failed);
             }
@@ -136,7 +136,7 @@ impl FlashModel {
         }
         self.operations += 1;
         if let Operation::Erase(page) = operation {
-            self.erases[page as usize] += 1;
+            self.erases[page] += 1;
         }
         self.running = Some((operation, self.busy_polls));
         Ok(())
@@ -153,15 +153,15 @@ impl NorFlash for FlashModel {
         if let Some(Fault::Swallows(value)) = self.fault {
             return Ok(value);
         }
-        self.pages.borrow_mut().read(page, index)
+        self.pages.borrow_mut().read(page as usize, index)
     }
 
     fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError> {
-        self.begin(Operation::Program(page, index, value))
+        self.begin(Operation::Program(page as usize, index, value))
     }
 
     fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
-        self.begin(Operation::Erase(page))
+        self.begin(Operation::Erase(page as usize))
     }
 
     fn slot(&mut self) -> Option<&mut dyn Slot> {

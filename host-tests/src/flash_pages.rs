@@ -1,10 +1,12 @@
-//! Contents of two pages of an STM32L4's flash by double word, and the effects of a power failure.
+//! Contents of flash pages by double word, and the effects of a power failure.
 
-use wsg_bridge_fw::storage::{Page, Unreadable};
+use std::ops::Range;
+
+use wsg_bridge_fw::storage::Unreadable;
 
 use crate::chance::Chance;
 
-/// Double words in a page.
+/// Double words in a page of an STM32L4.
 pub const PAGE_LEN: usize = 256;
 
 /// State of an operation's double words after a power failure.
@@ -65,32 +67,38 @@ impl DoubleWord {
 /// A flash operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
-    /// Programs a double word.
-    Program(Page, usize, u64),
+    /// Programs a double word of a page.
+    Program(usize, usize, u64),
     /// Erases a page.
-    Erase(Page),
+    Erase(usize),
 }
 
-/// Two pages of flash.
+/// Pages of flash.
 #[derive(Clone, Debug)]
 pub struct FlashPages {
-    pages: [[DoubleWord; PAGE_LEN]; 2],
+    pages: Vec<Vec<DoubleWord>>,
     chance: Chance,
 }
 
 impl FlashPages {
-    /// Creates erased pages.
+    /// Creates the erased pages of the settings.
     #[must_use]
     pub fn new() -> Self {
-        Self { pages: [[DoubleWord::Erased; PAGE_LEN]; 2], chance: Chance::new(1) }
+        Self::of(2, PAGE_LEN)
+    }
+
+    /// Creates this number of erased pages of this number of double words.
+    #[must_use]
+    pub fn of(pages: usize, page_len: usize) -> Self {
+        Self { pages: vec![vec![DoubleWord::Erased; page_len]; pages], chance: Chance::new(1) }
     }
 
     /// Reads a double word; a changing one reads differently each time.
     ///
     /// # Errors
-    /// Returns [`Unreadable`] for an uncorrectable double word, and for an index from [`PAGE_LEN`] on.
-    pub fn read(&mut self, page: Page, index: usize) -> Result<u64, Unreadable> {
-        match self.pages[page as usize].get(index) {
+    /// Returns [`Unreadable`] for an uncorrectable double word, and for an index past the page.
+    pub fn read(&mut self, page: usize, index: usize) -> Result<u64, Unreadable> {
+        match self.pages[page].get(index) {
             None | Some(DoubleWord::Unreadable(_)) => Err(Unreadable),
             Some(DoubleWord::Changing(one, other)) => match self.chance.below(3) {
                 0 => Ok(*one),
@@ -108,13 +116,13 @@ impl FlashPages {
     pub fn apply(&mut self, operation: Operation) -> Result<(), NotErased> {
         match operation {
             Operation::Program(page, index, value) => {
-                let double_word = &mut self.pages[page as usize][index];
+                let double_word = &mut self.pages[page][index];
                 if !matches!(double_word, DoubleWord::Erased) && value != 0 {
                     return Err(NotErased);
                 }
                 *double_word = DoubleWord::Programmed(value);
             }
-            Operation::Erase(page) => self.pages[page as usize] = [DoubleWord::Erased; PAGE_LEN],
+            Operation::Erase(page) => self.pages[page].fill(DoubleWord::Erased),
         }
         Ok(())
     }
@@ -122,9 +130,14 @@ impl FlashPages {
     /// Leaves the operation's double words as after a power failure, between `before` and their current values.
     pub fn tear(&mut self, before: &Self, operation: Operation, tear: Tear) {
         let (page, range) = match operation {
-            Operation::Program(page, index, _) => (page as usize, index..index + 1),
-            Operation::Erase(page) => (page as usize, 0..PAGE_LEN),
+            Operation::Program(page, index, _) => (page, index..index + 1),
+            Operation::Erase(page) => (page, 0..self.pages[page].len()),
         };
+        self.tear_range(before, page, range, tear);
+    }
+
+    /// Leaves these double words as after a power failure.
+    pub fn tear_range(&mut self, before: &Self, page: usize, range: Range<usize>, tear: Tear) {
         for index in range {
             let (before, after) = (before.pages[page][index], &mut self.pages[page][index]);
             let how = match tear {
@@ -146,20 +159,20 @@ impl FlashPages {
     }
 
     /// Sets a double word; [`None`] makes it unreadable, with its bits unchanged and a wrong error code.
-    pub fn set(&mut self, page: Page, index: usize, value: Option<u64>) {
-        let double_word = &mut self.pages[page as usize][index];
+    pub fn set(&mut self, page: usize, index: usize, value: Option<u64>) {
+        let double_word = &mut self.pages[page][index];
         *double_word = value.map_or(DoubleWord::Unreadable(double_word.value()), DoubleWord::Programmed);
     }
 
     /// Returns the raw bits of an unreadable double word, as seen by a reader that ignores the error.
     #[must_use]
-    pub fn bits(&self, page: Page, index: usize) -> u64 {
-        self.pages[page as usize][index].value()
+    pub fn bits(&self, page: usize, index: usize) -> u64 {
+        self.pages[page][index].value()
     }
 
     /// Makes reads of a double word vary between this value, its current value and an error.
-    pub fn set_changing(&mut self, page: Page, index: usize, value: u64) {
-        let double_word = &mut self.pages[page as usize][index];
+    pub fn set_changing(&mut self, page: usize, index: usize, value: u64) {
+        let double_word = &mut self.pages[page][index];
         *double_word = DoubleWord::Changing(value, double_word.value());
     }
 }

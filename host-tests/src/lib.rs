@@ -21,6 +21,7 @@
 //! | [`faulty_link`] | fault injection for any byte link |
 //! | [`flash_controller`] | model of the STM32L4's flash interface on the settings pages, per its manual |
 //! | [`flash_model`] | the settings flash for the library: two pages and their faults |
+//! | [`slot_flash`] | a board's flash for the boot loader, observed at each operation |
 //! | [`flash_pages`] | contents of two flash pages, also after a power failure |
 //! | [`fuzz_bodies`] | properties that must hold for any input bytes |
 //! | [`mod@example`] | location of compiled examples; processes that end with their owner |
@@ -90,6 +91,7 @@ pub mod registers;
 pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
+pub mod slot_flash;
 pub mod slot_model;
 pub mod socket;
 #[cfg(unix)]

@@ -1,11 +1,12 @@
 //! Third-party masters for tests, installed by `cargo xtask test`. `mbpoll` comes from Debian, `jsmodbus` and `modbus-serial`
 //! from npm (`package-lock.json`). `pymodbus`, `minimalmodbus`, `modbus-tk`, `canopen`, `pyprofibus` and the EDS reader
 //! `dcf-tools` come from PyPI (`requirements.txt`), as do `xmlschema`, which validates PLCopen XML, and `blark`, which parses
-//! Structured Text, `eds-pie`, which reads EDS files of EtherNet/IP, and its scanners and clients `ethernetip`, `pycomm3` and `cpppo`.
+//! Structured Text, `eds-pie`, which reads EDS files of EtherNet/IP, and its scanners and clients `ethernetip`, `pycomm3` and `cpppo`;
+//! `cryptography` checks signatures.
 //! Its scanner `cm-ethernetip` has an environment of its own; `st-ethernet-ip` comes from npm.
 //!
 //! A test that requires one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus`, `modbus_serial`, `canopen`,
-//! `pyprofibus`, `xmlschema`, `blark`, `eds_pie`, `pypi_ethernetip`, `cm_ethernetip`, `st_ethernet_ip`, `pycomm3` or `cpppo` in its
+//! `pyprofibus`, `xmlschema`, `blark`, `eds_pie`, `pypi_ethernetip`, `cm_ethernetip`, `st_ethernet_ip`, `pycomm3`, `cpppo` or `cryptography` in its
 //! name. It fails without it; `cargo xtask test` skips it.
 
 use std::path::{Path, PathBuf};

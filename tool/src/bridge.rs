@@ -7,6 +7,7 @@ mod flash;
 pub(crate) mod gateway_reports;
 pub(crate) mod names;
 pub(crate) mod settings_file;
+pub(crate) mod sign;
 mod state;
 mod strays;
 mod update;
@@ -33,9 +34,11 @@ pub(crate) use self::state::State;
 
 /// Monitors and configures a bridge over its service port (the USB connector of its board), or a gateway; never moves the fingers
 #[derive(Args, Debug)]
+#[command(subcommand_negates_reqs = true)]
 pub(crate) struct Arguments {
-    /// Serial port, such as /dev/ttyACM0 or COM3, or tcp://HOST[:502][?unit=1] of a gateway
-    port: String,
+    /// Serial port, such as /dev/ttyACM0 or COM3, or tcp://HOST[:502][?unit=1] of a gateway; not for keygen and sign
+    #[arg(required = true)]
+    port: Option<String>,
     #[command(subcommand)]
     command: Command,
 }
@@ -110,6 +113,13 @@ enum Command {
     Flash(flash::Arguments),
     /// Updates the firmware over the service port with a signed image; the gripper enters FAST STOP, and the bridge restarts
     Update(update::Arguments),
+    /// Generates a key for signing images: FILE, which must be kept secret, and FILE.pub
+    Keygen {
+        /// File to write; an existing file is kept
+        file: PathBuf,
+    },
+    /// Signs a firmware image for an update in the field
+    Sign(sign::Arguments),
 }
 
 /// Reminder after a change that was not stored.
@@ -117,8 +127,16 @@ const NOT_STORED: &str = "in effect until power-off; run `save` to keep the chan
 
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let mut output = io::stdout().lock();
-    let port = &arguments.port;
-    match carry_out(port, &arguments.command, &mut output) {
+    let done = match (&arguments.command, &arguments.port) {
+        (Command::Keygen { file }, None) => sign::generate_key(file, &mut output),
+        (Command::Sign(arguments), None) => sign::sign(arguments, &mut output),
+        (Command::Keygen { .. } | Command::Sign(_), Some(port)) => {
+            bail!("keygen and sign have no PORT; remove {port}")
+        }
+        (command, Some(port)) => carry_out(port, command, &mut output),
+        (_, None) => bail!("missing PORT, such as /dev/ttyACM0; run `wsg bridge --help`"),
+    };
+    match done {
         // The reader closed the pipe, for example `head`.
         Err(error)
             if error.downcast_ref::<io::Error>().is_some_and(|it| it.kind() == io::ErrorKind::BrokenPipe) => {
@@ -204,7 +222,7 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
                 change(&mut client, &old, &new, *save, output)?;
             }
         }
-        Command::Flash(_) | Command::Update(_) => {}
+        Command::Flash(_) | Command::Update(_) | Command::Keygen { .. } | Command::Sign(_) => {}
     }
     Ok(())
 }

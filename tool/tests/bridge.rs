@@ -549,8 +549,10 @@ fn update_is_checked_sent_with_repeats_continued_and_started() {
     let (file, foreign) = (write("image", &image), write("foreign", &signed(1_000, "pico", running)));
     let (damaged, other) =
         (write("damaged", &flipped), write("other", &signed(2_000, BOARD.name, [9, 9, 9])));
-    let hex = |key: [u8; 32]| key.map(|byte| format!("{byte:02x}")).concat();
-    let [first, second] = keys().map(hex);
+    // SubjectPublicKeyInfo of Ed25519 (RFC 8410).
+    let info = [0x30, 0x2A, 0x30, 5, 6, 3, 0x2B, 0x65, 0x70, 3, 0x21, 0];
+    let pem = |key: [u8; 32]| pem::encode(&pem::Pem::new("PUBLIC KEY", [&info[..], &key].concat()));
+    let [first, second] = keys().map(pem);
     let (first, second) = (write("first", first.as_bytes()), write("second", second.as_bytes()));
 
     served.refused(&["update", &file, "--yes"], "the bridge has no boot loader for updates; ");
@@ -559,7 +561,10 @@ fn update_is_checked_sent_with_repeats_continued_and_started() {
     served.refused(&["update", &file], "confirmation requires a terminal; pass --yes to skip it");
     served.refused(&["update", &foreign, "--yes"], &format!("{foreign} is for another board; "));
     served.refused(&["update", &first, "--yes"], &format!("{first} is no valid image: no manifest"));
-    served.refused(&["update", &file, "--key", &file], &format!("cannot read {file}: "));
+    served.refused(
+        &["update", &file, "--key", &file],
+        &format!("{file}: expected a public key of Ed25519 as PEM"),
+    );
     for (image, key) in [(&damaged, &second), (&file, &first)] {
         let expected = format!("{image} is no valid image: the signature is wrong");
         served.refused(&["update", image, "--yes", "--key", key], &expected);

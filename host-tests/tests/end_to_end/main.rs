@@ -15,6 +15,7 @@ mod modbus_tcp;
 mod profibus;
 #[cfg(target_os = "linux")]
 mod profinet;
+mod signatures;
 #[cfg(unix)]
 mod update;
 #[cfg(unix)]

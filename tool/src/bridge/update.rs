@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::{self, IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,7 @@ use wsg_update::{Check, Keys, Manifest, PublicKey, Rules, SIGNATURE_LEN};
 
 use super::client::{BLOCK_LEN, Client, Failure};
 use super::names::report;
-use super::{confirm, require_rest};
+use super::{confirm, require_rest, sign};
 
 /// Time for which a block is repeated: less than the pause that ends an update.
 const REPEATS: Duration = Duration::from_secs(4);
@@ -33,7 +33,7 @@ const RESTARTS: u16 = 5;
 pub(crate) struct Arguments {
     /// Image of the board with its signature
     file: PathBuf,
-    /// File with the public key that signed the image, as 64 hexadecimal digits; without it, only the bridge checks the signature
+    /// Public key (FILE.pub of `keygen`) for which the signature must be valid; without it, only the bridge checks the signature
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
     /// Update without asking for confirmation
@@ -43,7 +43,7 @@ pub(crate) struct Arguments {
 
 pub(super) fn run(port: &str, arguments: &Arguments, output: &mut impl Write) -> Result<()> {
     let Arguments { file, key, yes } = arguments;
-    let key = key.as_deref().map(public_key).transpose()?;
+    let key = key.as_deref().map(sign::public_key).transpose()?;
     let bytes = fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     let image = image_of(&bytes, key).with_context(|| format!("{} is no valid image", file.display()))?;
     if port.starts_with("tcp://") {
@@ -121,15 +121,6 @@ fn image_of(bytes: &[u8], key: Option<PublicKey>) -> Result<Manifest> {
             return Ok(manifest);
         }
     }
-}
-
-fn public_key(file: &Path) -> Result<PublicKey> {
-    let text = fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-    let digits = text.trim();
-    let byte = |at: usize| u8::from_str_radix(digits.get(2 * at..2 * at + 2)?, 16).ok();
-    let key: Option<Vec<u8>> = (0..32).map(byte).collect();
-    let key = key.filter(|_| digits.len() == 64).and_then(|key| key.try_into().ok());
-    key.with_context(|| format!("{} is no public key; expected 64 hexadecimal digits", file.display()))
 }
 
 /// Registers of an update.

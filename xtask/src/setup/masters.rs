@@ -32,7 +32,7 @@ const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The PyPI packages, as named in the tests that need them.
 const FROM_PYPI: &str = "pymodbus minimalmodbus modbus_tk canopen pyprofibus pytest profinet_py pnio_dcp scapy typos \
-                         xmlschema blark eds_pie pypi_ethernetip pycomm3 cpppo";
+                         xmlschema blark eds_pie pypi_ethernetip pycomm3 cpppo cryptography";
 
 /// A PyPI package with an environment of its own, as named in the test that needs it; and the folder of its list and environment.
 const APART: (&str, &str) = ("cm_ethernetip", "cm-ethernetip");
