@@ -8,12 +8,13 @@
 //! 3. The first image of the bus, after power-up or a time-out, gives no edge. A flag that is 1 in it is ignored until it was
 //!    written 0. FASTSTOP takes effect immediately. Reads do not matter: a master that holds a flag during a reset of the
 //!    bridge may read zeros before it writes.
-//! 4. While the stored settings are refused, motion and jog flags of the bus are ignored until they were written 0
+//! 4. While the stored settings are refused, and during an update, motion and jog flags of the bus are ignored until they were written 0
 //!    afterwards.
 //! 5. WIDTH, SPEED and FORCELIMIT come from the source of the last motion command. While the fingers move, the other side's
 //!    values have no effect.
 
 use crate::recipe::Recipe;
+use crate::register::EventCode;
 use wsg_fieldbus::{CommandFlags, ForceUnit, MaskedFlags, OutputImage};
 
 /// Flags that move fingers.
@@ -44,6 +45,8 @@ pub(crate) struct Arbiter {
     masked: MaskedFlags,
     /// All flags that move fingers are ignored.
     refuses: bool,
+    /// FASTSTOP is 1 before a restart, regardless of wires and bus.
+    restarts: bool,
     control_source: ControlSource,
     /// Effective WIDTH, SPEED and FORCELIMIT. Its flags are unused.
     parameters: OutputImage,
@@ -57,6 +60,7 @@ impl Arbiter {
             bus_is_new: true,
             masked: MaskedFlags::NONE,
             refuses: false,
+            restarts: false,
             control_source: ControlSource::Nobody,
             parameters: OutputImage::ZERO,
         }
@@ -82,9 +86,22 @@ impl Arbiter {
         self.refuses = refuses;
     }
 
-    /// Returns whether the wires request FAST STOP.
-    pub(crate) fn is_stopped_by_wires(&self) -> bool {
-        self.wires.is_some_and(|wires| wires.flags.contains(CommandFlags::FASTSTOP))
+    /// Sets whether the bridge itself requests FAST STOP for a restart. Returns the image for the controller if this changes and
+    /// the wires have settled.
+    pub(crate) fn set_restarts(&mut self, restarts: bool) -> Option<OutputImage> {
+        let is_new = core::mem::replace(&mut self.restarts, restarts) != restarts;
+        self.wires.filter(|_| is_new).map(|wires| self.merged(wires.flags))
+    }
+
+    /// Returns the event of a FASTSTOP flag. The wires take precedence, because they may be broken.
+    pub(crate) fn fast_stop_event(&self) -> EventCode {
+        if self.wires.is_some_and(|wires| wires.flags.contains(CommandFlags::FASTSTOP)) {
+            EventCode::Wire
+        } else if self.restarts {
+            EventCode::UpdateRestart
+        } else {
+            EventCode::BusFlag
+        }
     }
 
     /// Merges an image of the wires, and passes the results to the controller in order. Before an edge of a command wire, it
@@ -174,7 +191,9 @@ impl Arbiter {
     }
 
     fn merged(&self, wires: CommandFlags) -> OutputImage {
-        OutputImage { flags: wires.union(self.bus_flags()), user: self.bus.user, ..self.parameters }
+        let mut flags = wires.union(self.bus_flags());
+        flags.set(CommandFlags::FASTSTOP, self.restarts || flags.contains(CommandFlags::FASTSTOP));
+        OutputImage { flags, user: self.bus.user, ..self.parameters }
     }
 }
 

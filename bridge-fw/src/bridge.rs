@@ -14,6 +14,8 @@ use crate::plc::{
 use crate::register::{
     EventCode, Events, Link, ResetCause, SaveState, SettingsFrom, StoreCommand, StoreReports,
 };
+use crate::storage::Slot;
+use crate::update::Update;
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_fieldbus::{Controller, InputImage, SilenceReaction};
 use wsg_protocol::session::{self, Event, Session, Topic};
@@ -83,6 +85,7 @@ impl Bridge {
                 error_cause: 0,
                 events: Events::new(),
                 store: StoreReports { from: SettingsFrom::Delivered, save: SaveState::Nothing },
+                update: Update::new(),
             },
             is_measured: false,
             liveness: Liveness::new(),
@@ -101,7 +104,6 @@ impl Bridge {
         self.wires.configure(&self.settings);
         self.facts.sides = SideReports::new(config);
         self.facts.store.from = from;
-        self.arbiter.set_refuses(from.is_refusal());
         if from.is_refusal() {
             self.facts.events.happened(EventCode::SettingsRefused, from as u16);
         }
@@ -133,7 +135,6 @@ impl Bridge {
     pub(crate) fn save_succeeded(&mut self) {
         self.settings.are_stored();
         self.facts.store = StoreReports { from: SettingsFrom::Stored, save: SaveState::Saved };
-        self.arbiter.set_refuses(false);
     }
 
     /// Records a failed save. `why` is the value of [`EventCode::SaveFailed`].
@@ -154,6 +155,7 @@ impl Bridge {
         bus: &mut P,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
+        self.arbiter.set_refuses(self.facts.is_locked());
         bus.report(&mut self.facts.sides);
         let has_heard = self.receive(now, link) || self.expire_half_frame(now);
         // Before a lost connection invalidates this state.
@@ -188,7 +190,7 @@ impl Bridge {
             ignores_motions: motion_is_open
                 || self.controller.ignores_motions(self.session.known())
                 || self.arbiter.bus_holds_stop()
-                || self.facts.store.from.is_refusal(),
+                || self.facts.is_locked(),
         };
         shown.error_cause = self.cause_of_error(&shown);
         self.facts.error_cause = shown.error_cause;
@@ -207,6 +209,23 @@ impl Bridge {
         self.measure();
         if event == PlcEvent::Configured {
             self.wires.configure(&self.settings);
+        }
+    }
+
+    /// Continues an update after the turn's data was transmitted.
+    pub(crate) fn update(&mut self, now: Instant, slot: &mut dyn Slot) {
+        let Self { controller, session, arbiter, facts, .. } = self;
+        let known = session.known();
+        let (is_connected, is_pending) = (session.is_connected(), session.fast_stop_pending());
+        // A missing gripper confirms nothing, and must not keep a bridge from its update.
+        let is_free = !(is_connected && is_pending);
+        let has_flag = known.flags.unwrap_or_default().contains(SystemFlags::FAST_STOP);
+        let is_stopped = is_connected && !is_pending && has_flag && controller.asks_fast_stop();
+        let was_active = facts.update.is_active();
+        let continued = facts.update.turn(now, slot, is_free, is_stopped);
+        let stops = facts.note_update(was_active, continued).unwrap_or(false);
+        if let Some(image) = arbiter.set_restarts(stops) {
+            controller.set_output(&image, known);
         }
     }
 
@@ -373,7 +392,8 @@ impl Bridge {
 
     fn take_wires(&mut self, now: Instant, inputs: Inputs, has_heard: bool) {
         self.liveness.serve(Served::WIRES);
-        let is_ready = self.wires.is_ready();
+        // An update may have begun since READY was shown.
+        let is_ready = self.wires.is_ready() && !self.facts.is_locked();
         let Self { wires, controller, session, parser, arbiter, facts, settings, .. } = self;
         let mut view = View { controller, session, parser, arbiter, facts, settings };
         let Some(PlcEvent::Output(image)) = wires.read(inputs).receive(now, &mut view) else { return };
@@ -396,6 +416,7 @@ impl Bridge {
             let Self { controller, session, parser, arbiter, facts, settings, .. } = self;
             let mut view = View { controller, session, parser, arbiter, facts, settings };
             let Some(event) = bus.receive(now, &mut view) else { break };
+            self.arbiter.set_refuses(self.facts.is_locked());
             self.measure();
             self.facts.bus_is_silent = event == PlcEvent::Left { silent: true };
             match event {
@@ -467,7 +488,7 @@ impl Bridge {
     /// Logs the incidents of the controller.
     fn note_incidents(&mut self) {
         while let Some(incident) = self.controller.poll_incident() {
-            self.facts.events.note(incident, self.arbiter.is_stopped_by_wires());
+            self.facts.events.note(incident, self.arbiter.fast_stop_event());
         }
     }
 
@@ -489,6 +510,8 @@ impl Bridge {
             self.facts.events.cause_of_error(true)
         } else if self.facts.store.from.is_refusal() {
             EventCode::SettingsRefused as u8
+        } else if self.facts.update.is_active() {
+            EventCode::UpdateRuns as u8
         } else if shown.link != Link::Up {
             EventCode::GripperSilent as u8
         } else {

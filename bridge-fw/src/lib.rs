@@ -37,6 +37,7 @@ mod station;
 pub mod storage;
 mod stored_settings;
 pub mod tick;
+mod update;
 pub mod usb_serial;
 
 pub use arbiter::ControlSource;
@@ -56,7 +57,8 @@ pub mod registers {
     pub use crate::plc::{FIRST_START_SETTING, REPORTS, Record, SETTINGS, WrongSetting};
     pub use crate::register::{
         BusCounts, COMMAND_KEY, COMMANDS, CommandRegister, EVENTS, EVENTS_KEPT, EventCode, EventText,
-        FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, MAP_VERSION, RegisterError, Report, ResetCause,
-        SaveState, Setting, SettingsFrom, StoreCommand,
+        FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, MAP_VERSION, RegisterCommand, RegisterError,
+        Report, ResetCause, SaveState, Setting, SettingsFrom, StoreCommand, UpdateCommand, UpdateRefusal,
     };
+    pub use crate::update::update_crc;
 }

@@ -36,6 +36,7 @@ use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
 use crate::register::{
     BusCounts, Events, FIRST_REPORT, FIRST_SETTING, Report, Rows, Setting, assembled, count, setting_rows,
 };
+use crate::update::Update;
 use wsg_protocol::session::{self, Timeout};
 use wsg_protocol::{CommandId, Instant};
 
@@ -75,7 +76,7 @@ macro_rules! plc_sides {
             &[Config::SETTINGS, WiresConfig::SETTINGS, Recipe::SETTINGS, $(<$config_type>::SETTINGS),*];
 
         const REPORT_ROWS: &[Rows<Report>] = &[
-            View::REPORTS, Events::REPORTS, BusCounts::REPORTS, CanReports::REPORTS, $($(<$reports>::REPORTS,)?)*
+            View::REPORTS, Update::REPORTS, Events::REPORTS, BusCounts::REPORTS, CanReports::REPORTS, $($(<$reports>::REPORTS,)?)*
         ];
 
         impl Config {

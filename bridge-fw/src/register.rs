@@ -3,12 +3,15 @@
 mod events;
 mod rows;
 mod store_commands;
+mod update_refusal;
 
 pub use events::{EVENTS, EVENTS_KEPT, EventCode, EventText};
 pub use rows::{Report, Setting};
 pub use store_commands::{
-    COMMAND_KEY, COMMANDS, CommandRegister, FIRST_COMMAND, SaveState, SettingsFrom, StoreCommand,
+    COMMAND_KEY, COMMANDS, CommandRegister, FIRST_COMMAND, RegisterCommand, SaveState, SettingsFrom,
+    StoreCommand, UpdateCommand,
 };
+pub use update_refusal::UpdateRefusal;
 
 pub(crate) use events::Events;
 pub(crate) use rows::{Rows, assembled, count, place_in, report_rows, saturate, setting_rows};
@@ -21,7 +24,7 @@ pub const FIRST_SETTING: u16 = 100;
 pub const FIRST_REPORT: u16 = 100;
 
 /// Version of the register map, increased when a register or a meaning is added or changed.
-pub const MAP_VERSION: u16 = 7;
+pub const MAP_VERSION: u16 = 8;
 
 /// State of the link to the gripper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -84,6 +87,8 @@ pub enum RegisterError {
     Moving,
     /// Settings cannot change while a save is running.
     Saving,
+    /// Settings cannot change during an update.
+    Updating,
 }
 
 impl core::fmt::Display for RegisterError {
@@ -93,6 +98,7 @@ impl core::fmt::Display for RegisterError {
             Self::Value => "the value is out of the register's range",
             Self::Moving => "settings cannot change while the fingers move",
             Self::Saving => "settings cannot change while they are being stored",
+            Self::Updating => "settings cannot change during an update",
         })
     }
 }
@@ -107,11 +113,16 @@ mod tests {
 
     #[test]
     fn each_error_has_its_own_message() {
-        let all =
-            [RegisterError::Missing, RegisterError::Value, RegisterError::Moving, RegisterError::Saving];
+        let all = [
+            RegisterError::Missing,
+            RegisterError::Value,
+            RegisterError::Moving,
+            RegisterError::Saving,
+            RegisterError::Updating,
+        ];
         let words = all.map(|it| it.to_string());
         assert_eq!(words[0], "no such register");
         assert!(words[1].contains("range") && words[2].contains("move"), "{words:?}");
-        assert!(words[3].contains("stored"), "{words:?}");
+        assert!(words[3].contains("stored") && words[4].contains("update"), "{words:?}");
     }
 }

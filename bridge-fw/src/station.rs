@@ -108,7 +108,11 @@ impl<C: CanController> Station<C> {
         let outputs = self.poll(now_ms, inputs, serial, modbus);
         // After transmitting: the wires do not wait for it, and the PLC's bus reads the changes in the next turn.
         self.bridge.serve(now_ms, &mut self.service.over(service));
-        self.settings.turn(Instant::from_millis(now_ms), &mut self.bridge, flash);
+        let now = Instant::from_millis(now_ms);
+        self.settings.turn(now, &mut self.bridge, flash);
+        if let Some(slot) = flash.slot() {
+            self.bridge.update(now, slot);
+        }
         outputs
     }
 

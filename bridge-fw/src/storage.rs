@@ -1,4 +1,5 @@
-//! Persistent settings: a log of records in two pages of flash, over a small trait of the board.
+//! Persistent settings: a log of records in two pages of flash, over a small trait of the board. [`Slot`] is the trait of the
+//! flash for updates.
 //!
 //! A save appends a record. If the newest record's page is full, or ends with other data, the other page is erased and
 //! receives the record. So the page of the newest complete record is never erased. After a power cut at any time, the newest
@@ -33,10 +34,14 @@
 //! | 120 bytes | 15 | 1/15 | 300 000 |
 //! | 200 bytes | 9 | 1/9 | 180 000 |
 
+mod error;
 mod flash;
 mod record;
+mod slot;
 mod store;
 
-pub use flash::{FlashError, NoFlash, NorFlash, Page, Unreadable};
+pub use error::{FlashError, Unreadable};
+pub use flash::{NoFlash, NorFlash, Page};
 pub use record::ends_record;
+pub use slot::{ImageVersion, SLOT_PAGE_LEN, Slot};
 pub use store::{BeginError, LoadError, Progress, Record, SaveError, Store};

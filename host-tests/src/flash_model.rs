@@ -2,11 +2,12 @@
 
 use std::cell::RefCell;
 
-use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Progress, Store, Unreadable};
+use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Progress, Slot, Store, Unreadable};
 use wsg_protocol::Instant;
 
 use crate::flash_pages::{FlashPages, Operation};
 pub use crate::flash_pages::{PAGE_LEN, Tear};
+use crate::slot_model::SlotModel;
 
 /// A fault of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +42,8 @@ pub struct FlashModel {
     pub erases: [u32; 2],
     /// Number of attempts to program a double word again.
     pub refused: u32,
+    /// Slot B, if there is a boot loader.
+    pub slot: Option<SlotModel>,
 }
 
 impl FlashModel {
@@ -159,6 +162,10 @@ impl NorFlash for FlashModel {
 
     fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
         self.begin(Operation::Erase(page as usize))
+    }
+
+    fn slot(&mut self) -> Option<&mut dyn Slot> {
+        self.slot.as_mut().map(|slot| slot as _)
     }
 
     fn poll(&mut self) -> nb::Result<(), FlashError> {

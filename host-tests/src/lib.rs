@@ -93,6 +93,7 @@ pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
 pub mod slot_flash;
+pub mod slot_model;
 pub mod socket;
 pub mod station_promises;
 #[cfg(unix)]

@@ -35,6 +35,7 @@ use wsg_sim::{Part, PortKind, Time, VirtualGripper};
 use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::{BYTES_PER_MS, Carry, Disturbance, SerialGripper, motions};
+use crate::slot_model::BOARD_NAME;
 use can::{CanDouble, CanLine};
 
 /// Outputs at rest, with referenced fingers.
@@ -44,7 +45,7 @@ pub const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Output
 pub const WIRES: Config = Config { plc_bus: PlcBus::Off, ..Config::DEFAULT };
 
 /// Identity of the bridge's board.
-pub const BOARD: BoardId = BoardId { name: "virtual", serial: 0x1234_5678 };
+pub const BOARD: BoardId = BoardId { name: BOARD_NAME, serial: 0x1234_5678 };
 
 /// Buffers of all stations without PROFIBUS.
 pub static NO_PROFIBUS: DpBuffers = DpBuffers::new();

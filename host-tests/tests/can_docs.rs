@@ -55,7 +55,7 @@ fn pdos() -> String {
                 DataType::U16 => "UNSIGNED16",
                 DataType::U32 => "UNSIGNED32",
                 DataType::I16 => "INTEGER16",
-                DataType::Text => unreachable!("no text is mapped"),
+                DataType::Text | DataType::Domain => unreachable!("only numbers are mapped"),
             };
             rows.push((bytes, object.name, kind, format!("{index:04X}h, {sub}")));
             at += len;

@@ -54,6 +54,9 @@ fn functions() -> String {
                 Function::ReportServerId => {
                     ("Report Server ID", "unit, FFh (running), product code and revision as text")
                 }
+                Function::WriteFileRecord => {
+                    ("Write File Record", "an image for an update; not as a broadcast")
+                }
                 Function::MaskWriteRegister => ("Mask Write Register", "output image, settings"),
                 Function::ReadWriteMultipleRegisters => {
                     ("Read/Write Multiple Registers", "writes first; output image, settings")

@@ -10,6 +10,7 @@ pub(crate) mod settings_file;
 pub(crate) mod sign;
 mod state;
 mod strays;
+mod update;
 
 use std::fs;
 use std::io::{self, IsTerminal, Write};
@@ -22,7 +23,7 @@ use crossterm::event::{self, Event, KeyCode, KeyModifiers};
 use crossterm::terminal;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{Record, StoreCommand};
-use wsg_fieldbus::GripperFlags;
+use wsg_fieldbus::{GripperFlags, InputImage};
 use wsg_protocol::SystemFlags;
 use wsg_sim::text::{self, one_line};
 
@@ -108,6 +109,8 @@ enum Command {
     },
     /// Writes a firmware image to the board
     Flash(flash::Arguments),
+    /// Updates the firmware over the service port with a signed image; the gripper enters FAST STOP, and the bridge restarts
+    Update(update::Arguments),
     /// Generates a key for signing images: FILE, which must be kept secret, and FILE.pub
     Keygen {
         /// File to write; an existing file is kept
@@ -144,6 +147,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
 fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<()> {
     if let Command::Flash(arguments) = command {
         return write_image(port, arguments, output);
+    }
+    if let Command::Update(arguments) = command {
+        return update::run(port, arguments, output);
     }
     // Read the file before opening the port, so that an unreadable file never accesses the bridge.
     let file_text = match command {
@@ -214,7 +220,7 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
                 change(&mut client, &old, &new, *save, output)?;
             }
         }
-        Command::Flash(_) | Command::Keygen { .. } | Command::Sign(_) => {}
+        Command::Flash(_) | Command::Update(_) | Command::Keygen { .. } | Command::Sign(_) => {}
     }
     Ok(())
 }
@@ -286,11 +292,19 @@ fn confirm(question: &str, yes: bool) -> Result<()> {
 /// Flashes an image, unless the fingers are known to be moving.
 fn write_image(port: &str, arguments: &flash::Arguments, output: &mut impl Write) -> Result<()> {
     let plan = flash::Plan::new(arguments)?;
-    let image = Client::open(port).and_then(|mut client| Ok(client.image()?));
+    require_rest(Client::open(port).and_then(|mut client| Ok(client.image()?)), "flash")?;
+    confirm(&plan.question, arguments.yes)?;
+    plan.run()?;
+    writeln!(output, "written; the board restarts with the new firmware")?;
+    Ok(())
+}
+
+/// Rejects a restart while the fingers are known to be moving. `action` is the command to repeat.
+fn require_rest(image: Result<Option<InputImage>>, action: &str) -> Result<()> {
     let moving = GripperFlags::GRIPPING | GripperFlags::RELEASING | GripperFlags::POSITIONING;
     match image {
         Ok(Some(image)) if image.state.intersects(moving) || image.system.contains(SystemFlags::MOVING) => {
-            bail!("the fingers are moving; flash again when they are at rest");
+            bail!("the fingers are moving; {action} again when they are at rest");
         }
         Ok(Some(image)) if image.state.contains(GripperFlags::HOLDING) => {
             print_error("warning: a part is held; the PLC cannot monitor it while the bridge restarts");
@@ -300,9 +314,6 @@ fn write_image(port: &str, arguments: &flash::Arguments, output: &mut impl Write
             print_error(format_args!("warning: cannot determine whether the fingers are moving: {error:#}"))
         }
     }
-    confirm(&plan.question, arguments.yes)?;
-    plan.run()?;
-    writeln!(output, "written; the board restarts with the new firmware")?;
     Ok(())
 }
 

@@ -24,26 +24,29 @@ use host_tests::flash_controller::FlashController;
 use host_tests::flash_model::Fault;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::rig::motions;
+use host_tests::slot_model::{SlotModel, keys, signed};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::world::BOARD;
 use host_tests::world::modbus::Master;
 use host_tests::world::service_line::ServiceLine;
 use program::{printed, wsg, wsg_with};
 use wsg_bridge_fw::registers::{FIRST_SETTING, MAP_VERSION, SETTINGS};
 use wsg_bridge_fw::{BusPort, Config, ResetCause};
+use wsg_protocol::SystemFlags;
 
 /// The bridge's end of the service port, with injected faults.
 struct Line {
     line: ServiceLine,
     faults: Arc<Faults>,
-    /// A response to FC 16 was sent or suppressed.
+    /// A response to FC 16 or FC 21 was sent or suppressed.
     has_written: bool,
 }
 
 #[derive(Default)]
 struct Faults {
     is_silent: AtomicBool,
-    /// Suppresses the next response to FC 16.
+    /// Suppresses the next response to FC 16 or FC 21.
     loses_answer: AtomicBool,
     /// Lets the PLC write RECIPE0_SPEED after the next FC 16.
     meddles: AtomicBool,
@@ -59,7 +62,7 @@ impl BusPort for Line {
     }
 
     fn send(&mut self, frame: &[u8]) {
-        let is_write = frame.get(1) == Some(&16);
+        let is_write = matches!(frame.get(1), Some(16 | 21));
         self.has_written |= is_write;
         let is_lost = is_write && self.faults.loses_answer.swap(false, Ordering::SeqCst);
         if !is_lost && !self.faults.is_silent.load(Ordering::SeqCst) {
@@ -103,6 +106,9 @@ impl Served {
                     plant.write(setting("RECIPE0_SPEED"), &[12_34]);
                 }
                 to_do.try_iter().for_each(|act| act(&mut plant));
+                if slot(&mut plant).is_some_and(|slot| std::mem::take(&mut slot.restarts) > 0) {
+                    plant.restart_bridge(ResetCause::Firmware);
+                }
             }
         });
         let served = Self { terminal: Terminal::to(far).unwrap(), faults, acts, plant: Some(plant), end };
@@ -160,6 +166,10 @@ impl Drop for Served {
         self.end.store(true, Ordering::SeqCst);
         let _ = self.plant.take().map(JoinHandle::join);
     }
+}
+
+fn slot(plant: &mut Master) -> Option<&mut SlotModel> {
+    plant.flash.slot.as_mut()
 }
 
 const BOUND: Duration = Duration::from_secs(60);
@@ -519,6 +529,74 @@ fn image_is_written_by_matching_method_unless_fingers_move() {
         (Some(1), "wsg: the fingers are moving; flash again when they are at rest\n")
     );
     assert_eq!(noted(), "");
+}
+
+#[test]
+fn update_is_checked_sent_with_repeats_continued_and_started() {
+    let served = Served::new();
+    let folder = temporary("update");
+    fs::create_dir_all(&folder).unwrap();
+    let write = |name: &str, bytes: &[u8]| {
+        let file = folder.join(name);
+        fs::write(&file, bytes).unwrap();
+        file.to_str().unwrap().to_owned()
+    };
+    let running = [0, 1, 0];
+    // Its file records are in two files.
+    let image = signed(20_500, BOARD.name, running);
+    let mut flipped = image.clone();
+    flipped[1_000] ^= 1;
+    let (file, foreign) = (write("image", &image), write("foreign", &signed(1_000, "pico", running)));
+    let (damaged, other) =
+        (write("damaged", &flipped), write("other", &signed(2_000, BOARD.name, [9, 9, 9])));
+    // SubjectPublicKeyInfo of Ed25519 (RFC 8410).
+    let info = [0x30, 0x2A, 0x30, 5, 6, 3, 0x2B, 0x65, 0x70, 3, 0x21, 0];
+    let pem = |key: [u8; 32]| pem::encode(&pem::Pem::new("PUBLIC KEY", [&info[..], &key].concat()));
+    let [first, second] = keys().map(pem);
+    let (first, second) = (write("first", first.as_bytes()), write("second", second.as_bytes()));
+
+    served.refused(&["update", &file, "--yes"], "the bridge has no boot loader for updates; ");
+    served.act(|plant| plant.flash.slot = Some(SlotModel::new()));
+    served.wait(|plant| plant.input(221, 1) != Ok(vec![0]));
+    served.refused(&["update", &file], "confirmation requires a terminal; pass --yes to skip it");
+    served.refused(&["update", &foreign, "--yes"], &format!("{foreign} is for another board; "));
+    served.refused(&["update", &first, "--yes"], &format!("{first} is no valid image: no manifest"));
+    served.refused(
+        &["update", &file, "--key", &file],
+        &format!("{file}: expected a public key of Ed25519 as PEM"),
+    );
+    for (image, key) in [(&damaged, &second), (&file, &first)] {
+        let expected = format!("{image} is no valid image: the signature is wrong");
+        served.refused(&["update", image, "--yes", "--key", key], &expected);
+    }
+    assert_eq!(served.act(|plant| slot(plant).unwrap().operations), 0, "nothing was sent");
+    let expected = "the bridge refused the image: the signature is wrong; it keeps firmware 0.1.0";
+    served.refused(&["update", &damaged, "--yes"], expected);
+
+    let block = image[..200].to_vec();
+    served.act(move |plant| {
+        let request = [&[21, 207, 6, 0, 1, 0, 0, 0, 100], &block[..]].concat();
+        plant.by_service(|plant| assert_eq!(plant.ask(&request), request));
+    });
+    served.faults.loses_answer.store(true, Ordering::SeqCst);
+    let expected = "continues after 200 bytes of an interrupted update\nsent and checked; the bridge restarts\n\
+                    the bridge runs firmware 0.1.0; STOP/ACK ends the FAST STOP\n";
+    assert_eq!(served.done(&["update", &file, "--yes", "--key", &second]), expected);
+    assert!(!served.faults.loses_answer.load(Ordering::SeqCst), "a response was lost");
+    assert_eq!(served.act(|plant| slot(plant).unwrap().marks), 1);
+    // The model restarts the same firmware.
+    served.refused(
+        &["update", &other, "--yes"],
+        "the bridge runs firmware 0.1.0: firmware 9.9.9 did not start",
+    );
+    served.wait(|plant| plant.bridge().is_connected());
+    served.act(|plant| {
+        plant.write(0, &[0, 0, 0, 0]);
+        plant.write(0, &[0x1000, 0, 0, 0]);
+    });
+    served.wait(|plant| !plant.bridge().input_image().system.contains(SystemFlags::FAST_STOP));
+    served.act(begin_to_home);
+    served.refused(&["update", &file, "--yes"], "the fingers are moving; update again when they are at rest");
 }
 
 #[test]

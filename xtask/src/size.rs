@@ -25,7 +25,7 @@ const PROTOCOL_LIMIT: u64 = 35_900;
 
 /// Flash limits of GCL and the MODBUS server. 1 400 B of GCL are verbose-mode texts.
 const GCL_LIMIT: u64 = 44 * 1024;
-const MODBUS_LIMIT: u64 = 9 * 1024;
+const MODBUS_LIMIT: u64 = 9_600;
 
 /// Payload length of the probe's parser, and the RAM limit beyond it, in bytes.
 const PARSER_PAYLOAD: u64 = 64;

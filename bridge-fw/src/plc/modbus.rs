@@ -14,11 +14,12 @@ pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 use super::side::{BoardId, PlcEvent, PlcSide, Shown, has_fallen_silent};
 use super::{Config, Listed, View};
 use crate::register::{
-    BusCounts, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, RegisterError, StoreCommand,
-    report_rows,
+    BusCounts, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, RegisterCommand, RegisterError,
+    UpdateRefusal, report_rows,
 };
+use crate::update::Master;
 use bus_modbus::rtu::{self, Character, Event, Mode, Server};
-use bus_modbus::{Bits, Device, Exception, Identification, Words};
+use bus_modbus::{Bits, Device, Exception, FileRecord, FileRecords, Identification, Words};
 use wsg_fieldbus::Images;
 use wsg_protocol::Instant;
 
@@ -268,10 +269,22 @@ impl BridgeDevice<'_, '_> {
     }
 
     /// Writes to one command register.
-    fn command(&mut self, index: u16, values: Words<'_>) -> Result<(), RegisterError> {
+    fn command(&mut self, index: u16, values: Words<'_>) -> Result<(), Exception> {
         let mut keys = values.iter();
-        let (Some(key), None) = (keys.next(), keys.next()) else { return Err(RegisterError::Value) };
-        self.view.command_store(StoreCommand::of_register(index, key)?)
+        let (Some(key), None) = (keys.next(), keys.next()) else { return Err(Exception::IllegalDataValue) };
+        match RegisterCommand::of_register(index, key).map_err(exception)? {
+            RegisterCommand::Store(command) => self.view.command_store(command).map_err(exception),
+            RegisterCommand::Update(command) => {
+                self.view.command_update(self.master(), command).map_err(refused)
+            }
+        }
+    }
+
+    const fn master(&self) -> Master {
+        match self.role {
+            Role::Plc => Master::Bus,
+            Role::Service => Master::Service,
+        }
     }
 
     /// Checks that the gripper answers. Without a gripper there is no input image.
@@ -289,9 +302,25 @@ const fn exception(error: RegisterError) -> Exception {
     match error {
         RegisterError::Missing => Exception::IllegalDataAddress,
         RegisterError::Value => Exception::IllegalDataValue,
-        RegisterError::Moving | RegisterError::Saving => Exception::ServerDeviceBusy,
+        RegisterError::Moving | RegisterError::Saving | RegisterError::Updating => {
+            Exception::ServerDeviceBusy
+        }
     }
 }
+
+/// Returns the exception for a refused block or command of an update. The register UPDATE_REFUSAL has the reason.
+const fn refused(why: UpdateRefusal) -> Exception {
+    use UpdateRefusal as Why;
+    match why {
+        Why::NoBootLoader => Exception::IllegalFunction,
+        Why::Moving | Why::Saving | Why::OtherMaster | Why::Busy => Exception::ServerDeviceBusy,
+        Why::OutOfOrder | Why::TooLong => Exception::IllegalDataAddress,
+        _ => Exception::ServerDeviceFailure,
+    }
+}
+
+/// Registers of a file of an update. The files follow each other without a gap.
+const FILE_RECORDS: u32 = 10_000;
 
 impl Device for BridgeDevice<'_, '_> {
     fn coil(&self, address: u16) -> Result<bool, Exception> {
@@ -332,12 +361,25 @@ impl Device for BridgeDevice<'_, '_> {
             return self.images.write_registers(first, values);
         };
         match first.checked_sub(FIRST_COMMAND) {
-            None => self.view.write_settings(index, values.iter()),
-            Some(index) => self.command(index, values),
+            None => self.view.write_settings(index, values.iter()).map_err(exception)?,
+            Some(index) => self.command(index, values)?,
         }
-        .map_err(exception)?;
         self.configured = true;
         Ok(())
+    }
+
+    /// Takes a block of an image, which is one group: a repeated request must not be accepted in part.
+    fn write_file_records(&mut self, records: FileRecords<'_>) -> Result<(), Exception> {
+        let mut groups = records.iter();
+        let (Some(FileRecord { file, first, values }), None) = (groups.next(), groups.next()) else {
+            return Err(Exception::IllegalDataValue);
+        };
+        let record = u32::from(file).saturating_sub(1) * FILE_RECORDS + u32::from(first);
+        self.view.write_image(self.master(), 2 * record, values.as_bytes()).map_err(refused)
+    }
+
+    fn outcome(&self) -> Option<Result<(), Exception>> {
+        self.view.facts.update.outcome().map(|done| done.map_err(refused))
     }
 
     fn identification(&self) -> Identification {

@@ -7,9 +7,10 @@ use crate::arbiter::{Arbiter, ControlSource};
 use crate::can::CanReports;
 use crate::gripper::MAX_REPLY_LEN;
 use crate::register::{
-    BusCounts, Events, FIRST_REPORT, Link, MAP_VERSION, RegisterError, ResetCause, SaveState, StoreCommand,
-    StoreReports, report_rows,
+    BusCounts, EventCode, Events, FIRST_REPORT, Link, MAP_VERSION, RegisterError, ResetCause, SaveState,
+    StoreCommand, StoreReports, UpdateCommand, UpdateRefusal, report_rows,
 };
+use crate::update::{Master, Update};
 use wsg_fieldbus::{Controller, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::session::{Known, Session};
 use wsg_protocol::{FrameParser, Status};
@@ -35,9 +36,31 @@ pub(crate) struct Facts {
     pub(crate) error_cause: u8,
     pub(crate) events: Events,
     pub(crate) store: StoreReports,
+    pub(crate) update: Update,
 }
 
 impl Facts {
+    /// Returns whether all motions are refused: the stored settings are unusable, or an update is in progress.
+    pub(crate) const fn is_locked(&self) -> bool {
+        self.store.from.is_refusal() || self.update.is_active()
+    }
+
+    /// Records the outcome of a block or command of an update, or of its turn.
+    pub(crate) fn note_update<T>(
+        &mut self,
+        was_active: bool,
+        done: Result<T, UpdateRefusal>,
+    ) -> Result<T, UpdateRefusal> {
+        if let Err(why) = done {
+            if self.update.refuse(why) {
+                self.events.happened(EventCode::UpdateRefused, why as u16);
+            }
+        } else if self.update.is_active() && !was_active {
+            self.events.happened(EventCode::UpdateRuns, 0);
+        }
+        done
+    }
+
     /// Returns the state of the link to the gripper.
     pub(crate) const fn link(&self, session: &Session) -> Link {
         match (session.is_connected(), self.was_connected) {
@@ -53,7 +76,7 @@ impl Facts {
         if self.link_is_lost {
             image.state = GripperFlags::ERROR;
             image.status = Status::IoError;
-        } else if self.store.from.is_refusal() && session.is_connected() {
+        } else if self.is_locked() && session.is_connected() {
             image.state = GripperFlags::ERROR;
             image.status = Status::InconsistentData;
         }
@@ -73,7 +96,7 @@ pub struct View<'a> {
     pub(crate) session: &'a Session,
     pub(crate) parser: &'a FrameParser<MAX_REPLY_LEN>,
     pub(crate) arbiter: &'a Arbiter,
-    pub(crate) facts: &'a Facts,
+    pub(crate) facts: &'a mut Facts,
     pub(crate) settings: &'a mut Settings,
 }
 
@@ -169,9 +192,47 @@ impl View<'_> {
             Err(RegisterError::Moving)
         } else if self.save_state() == SaveState::Saving {
             Err(RegisterError::Saving)
+        } else if self.facts.update.is_active() {
+            Err(RegisterError::Updating)
         } else {
             Ok(())
         }
+    }
+
+    /// Takes a block of an image at this offset.
+    ///
+    /// # Errors
+    /// [`UpdateRefusal`]; the image received so far is unchanged.
+    pub(crate) fn write_image(&mut self, master: Master, at: u32, bytes: &[u8]) -> Result<(), UpdateRefusal> {
+        self.update(|update, may_begin| update.take_block(master, at, bytes, may_begin))
+    }
+
+    /// Executes a command of an update.
+    ///
+    /// # Errors
+    /// [`UpdateRefusal`].
+    pub(crate) fn command_update(
+        &mut self,
+        master: Master,
+        command: UpdateCommand,
+    ) -> Result<(), UpdateRefusal> {
+        self.update(|update, may_begin| update.take_command(master, command, may_begin))
+    }
+
+    fn update(
+        &mut self,
+        take: impl FnOnce(&mut Update, Result<(), UpdateRefusal>) -> Result<(), UpdateRefusal>,
+    ) -> Result<(), UpdateRefusal> {
+        let may_begin = if self.is_moving() || self.session.motion_is_open() {
+            Err(UpdateRefusal::Moving)
+        } else if self.save_state() == SaveState::Saving {
+            Err(UpdateRefusal::Saving)
+        } else {
+            Ok(())
+        };
+        let was_active = self.facts.update.is_active();
+        let taken = take(&mut self.facts.update, may_begin);
+        self.facts.note_update(was_active, taken)
     }
 
     /// Returns the report at `index`, counted from the first report. `bus` are the counters of the calling side.
@@ -181,6 +242,7 @@ impl View<'_> {
     pub fn report(&self, index: u16, bus: BusCounts) -> Result<u16, RegisterError> {
         let register = FIRST_REPORT.checked_add(index).ok_or(RegisterError::Missing)?;
         self.value_of(register)
+            .or_else(|| self.facts.update.value_of(register))
             .or_else(|| self.facts.events.value_of(register))
             .or_else(|| bus.value_of(register))
             .or_else(|| self.facts.can.value_of(register))

@@ -50,6 +50,7 @@ define_events! {
     14 PlcSilent "PLC_SILENT" "FAST STOP: the commanding PLC was silent and BUS_REACTION is 2, or no other stop was possible" "" "see BUS_SILENT";
     15 StopFailed "STOP_FAILED" "FAST STOP: a Stop was rejected or not answered while the fingers may have been moving" "its status" "check the gripper's line; then STOP/ACK";
     16 ConnectionLost "CONNECTION_LOST" "FAST STOP: the gripper stopped answering during a jog" "" "see GRIPPER_SILENT";
+    17 UpdateRestart "UPDATE_RESTARTS" "FAST STOP: the bridge restarts with new firmware" "" "none; STOP/ACK after the restart";
     18 GripperFastStop "GRIPPER_FAST_STOP" "the gripper reports a FAST STOP that the bridge did not request" "" "check the gripper for a fault, another client, or a FAST STOP from before the bridge started; then STOP/ACK";
     30 NotConnected "NOT_CONNECTED" "a command was given while the gripper did not answer" "" "wait for LINK_OK";
     31 FastStopLasts "FAST_STOP_LASTS" "a command was given during FAST STOP, or STOP/ACK before the gripper confirmed it" "" "remove the cause, give an edge on STOP/ACK, then command";
@@ -70,14 +71,15 @@ define_events! {
     61 BusOff "BUS_OFF" "the CAN controller went bus-off" "" "check rate, termination and wiring of the CAN bus";
     70 SettingsRefused "SETTINGS_REFUSED" "the stored settings are unusable and the defaults apply: no motion is possible" "SETTINGS_FROM" "set the bridge up again and SAVE, or DEFAULTS";
     71 SaveFailed "SAVE_FAILED" "the settings were not stored; the previous ones are kept" "1 flash busy, 2 flash write-protected, 3 flash not erased, 4 another flash fault, 5 flash cannot be erased, 6 wrong data in flash, 7 save numbers used up" "SAVE again; if that fails too, the flash is worn or protected";
+    72 UpdateRuns "UPDATE_RUNS" "an update began: no motion is possible until its end" "" "wait for the restart; an abandoned update ends after 5 s";
+    73 UpdateRefused "UPDATE_REFUSED" "a block, a command or an image of an update was refused" "UPDATE_REFUSAL" "see the reason; the running firmware is kept";
 }
 
 impl EventCode {
-    /// Returns the code for a cause of the controller. `by_wires`: the FASTSTOP was requested by a wire.
-    const fn of(cause: Cause, by_wires: bool) -> Self {
+    /// Returns the code for a cause of the controller. `flag` is the code of FASTSTOP.
+    const fn of(cause: Cause, flag: Self) -> Self {
         match cause {
-            Cause::Flag if by_wires => Self::Wire,
-            Cause::Flag => Self::BusFlag,
+            Cause::Flag => flag,
             Cause::ParameterChanged => Self::ParameterChanged,
             Cause::OutsideLimits => Self::OutsideLimits,
             Cause::PlcSilent => Self::PlcSilent,
@@ -203,11 +205,11 @@ impl Events {
         self.push(Entry { code, command: 0, value, age_s: 0 });
     }
 
-    /// Logs an incident of the controller. `by_wires`: the wires request FAST STOP, whether or not a bus does, too.
-    pub(crate) fn note(&mut self, incident: Incident, by_wires: bool) {
+    /// Logs an incident of the controller. `flag` is the code of FASTSTOP.
+    pub(crate) fn note(&mut self, incident: Incident, flag: EventCode) {
         let Incident { cause, command, value } = incident;
         let command = command.map_or(0, |id| id.code());
-        let entry = Entry { code: EventCode::of(cause, by_wires), command, value, age_s: 0 };
+        let entry = Entry { code: EventCode::of(cause, flag), command, value, age_s: 0 };
         if cause.is_fast_stop() {
             self.fast_stop = Some(entry);
         }

@@ -81,7 +81,7 @@ macro_rules! setting_rows {
 
 /// Defines the reports of a type. A row has register, name, meaning and the register's value.
 macro_rules! report_rows {
-    ($source:ty as $it:ident: $($register:literal $name:literal $meaning:literal $value:expr;)*) => {
+    ($source:ty as $it:ident: $($register:literal $name:literal $meaning:tt $value:expr;)*) => {
         impl $source {
             pub(crate) const REPORTS: $crate::register::Rows<$crate::register::Report> =
                 &[$(($register, $crate::register::Report { name: $name, meaning: $meaning })),*];

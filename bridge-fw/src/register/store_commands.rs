@@ -1,4 +1,4 @@
-//! Commands for all settings at once: registers that accept a key, and reports on the outcome.
+//! Commands for all settings at once and for updates: registers that accept a key, and reports on the outcome of a save.
 
 use super::RegisterError;
 
@@ -13,6 +13,24 @@ pub enum StoreCommand {
     Defaults,
 }
 
+/// A command for an update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum UpdateCommand {
+    /// Ends the transfer, and checks the image.
+    Check,
+    /// Puts the gripper into FAST STOP, and restarts with the image.
+    Restart,
+}
+
+/// A command of a register.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RegisterCommand {
+    /// For all settings at once.
+    Store(StoreCommand),
+    /// For an update.
+    Update(UpdateCommand),
+}
+
 /// A holding register that executes a command when the key is written to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CommandRegister {
@@ -21,7 +39,7 @@ pub struct CommandRegister {
     /// Effect of the command, short enough for a table cell.
     pub meaning: &'static str,
     /// Command that the key executes.
-    pub command: StoreCommand,
+    pub command: RegisterCommand,
 }
 
 /// Address of the first of [`COMMANDS`].
@@ -31,25 +49,35 @@ pub const FIRST_COMMAND: u16 = 200;
 pub const COMMAND_KEY: u16 = 0x5AA5;
 
 /// Command registers, from [`FIRST_COMMAND`] on.
-pub const COMMANDS: [CommandRegister; 3] = [
+pub const COMMANDS: [CommandRegister; 5] = [
     CommandRegister {
         name: "SAVE",
         meaning: "stores the settings, so that they also apply after the next power-up",
-        command: StoreCommand::Save,
+        command: RegisterCommand::Store(StoreCommand::Save),
     },
     CommandRegister {
         name: "RESTORE",
         meaning: "applies the stored settings without a restart",
-        command: StoreCommand::Restore,
+        command: RegisterCommand::Store(StoreCommand::Restore),
     },
     CommandRegister {
         name: "DEFAULTS",
         meaning: "applies the default settings, and stores them",
-        command: StoreCommand::Defaults,
+        command: RegisterCommand::Store(StoreCommand::Defaults),
+    },
+    CommandRegister {
+        name: "UPDATE_CHECK",
+        meaning: "ends the transfer of an image, and checks it",
+        command: RegisterCommand::Update(UpdateCommand::Check),
+    },
+    CommandRegister {
+        name: "UPDATE_RESTART",
+        meaning: "puts the gripper into FAST STOP, and restarts with the checked image",
+        command: RegisterCommand::Update(UpdateCommand::Restart),
     },
 ];
 
-impl StoreCommand {
+impl RegisterCommand {
     /// Returns the command of the register at this index, counted from [`FIRST_COMMAND`], if `key` is correct.
     pub(crate) fn of_register(index: u16, key: u16) -> Result<Self, RegisterError> {
         let register = COMMANDS.get(usize::from(index)).ok_or(RegisterError::Missing)?;

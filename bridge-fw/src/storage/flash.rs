@@ -3,7 +3,10 @@
 //! `embedded-storage` does not fit: its operations block until completion, and its `read` fails completely if one double word
 //! is unreadable.
 
-/// Two pages of NOR flash for settings only, programmed in double words of 64 bits.
+use super::error::{FlashError, Unreadable};
+use super::slot::Slot;
+
+/// Two pages of NOR flash for the settings, programmed in double words of 64 bits.
 ///
 /// Erased flash reads all ones. A double word can be programmed once after an erase, or to all zeros. Operations are started
 /// and polled, so that no caller waits.
@@ -38,6 +41,11 @@ pub trait NorFlash {
     /// # Errors
     /// [`nb::Error::WouldBlock`] during the operation, then its error if it failed.
     fn poll(&mut self) -> nb::Result<(), FlashError>;
+
+    /// Returns slot B, if a boot loader started this image. Without one, updates are refused.
+    fn slot(&mut self) -> Option<&mut dyn Slot> {
+        None
+    }
 }
 
 /// Page of the settings' flash.
@@ -62,38 +70,6 @@ impl Page {
         }
     }
 }
-
-/// Error: a double word has more wrong bits than the error correction can handle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Unreadable;
-
-/// Reason for a failed operation of the flash.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum FlashError {
-    /// The previous operation is still running.
-    Busy,
-    /// The page is write-protected, or the flash cannot be unlocked.
-    Protected,
-    /// The double word is already programmed.
-    NotErased,
-    /// Any other failure of the operation.
-    Failed,
-}
-
-impl core::fmt::Display for FlashError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::Busy => "the flash is busy with the previous operation",
-            Self::Protected => "the flash is write-protected",
-            Self::NotErased => "the double word is already programmed",
-            Self::Failed => "the flash reports a failed operation",
-        })
-    }
-}
-
-impl core::error::Error for FlashError {}
 
 /// No flash, for a board without persistent settings. A load finds none, and a save fails.
 #[derive(Clone, Copy, Debug, Default)]

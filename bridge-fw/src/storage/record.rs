@@ -2,7 +2,8 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-use super::flash::{NorFlash, Page, Unreadable};
+use super::error::Unreadable;
+use super::flash::{NorFlash, Page};
 
 /// Bitwise, because a table of 1 KiB would exceed all other code of the storage.
 static CRC: Crc<u32, Table<0>> = Crc::<u32, Table<0>>::new(&CRC_32_ISO_HDLC);

@@ -2,7 +2,8 @@
 
 use wsg_protocol::Instant;
 
-use super::flash::{FlashError, NorFlash, Page};
+use super::error::FlashError;
+use super::flash::{NorFlash, Page};
 use super::record::{self, BYTES, Checksum, ERASED, Found, Header, Located, OVERHEAD, ends_record};
 
 /// Maximum records that read complete only once before a load fails. A power cut leaves one.

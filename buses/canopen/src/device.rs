@@ -9,7 +9,7 @@ use heapless::Deque;
 use self::pdo::Tpdo;
 use crate::clock::{age, since};
 use crate::emergency::{Emergency, Message};
-use crate::sdo::Upload;
+use crate::sdo::{Download, Upload};
 use crate::{Cause, Config, Dictionary, Fault, Pdo};
 
 /// NMT state of a device (CiA 301, 7.3.2), with its code in the heartbeat.
@@ -104,8 +104,9 @@ pub struct Device<const R: usize, const T: usize, const Q: usize> {
     request: Option<[u8; 8]>,
     response: Option<[u8; 8]>,
     upload: Option<Upload>,
-    /// Index and subindex of a write in progress.
-    writing: Option<(u16, u8)>,
+    download: Option<Download>,
+    /// Index and subindex of a write in progress, and the toggle bit of its segment, if any.
+    writing: Option<(u16, u8, Option<bool>)>,
     /// Whether the master's heartbeat is monitored (1016h).
     watches_heartbeat: bool,
     error_behaviour: ErrorBehaviour,
@@ -137,6 +138,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             request: None,
             response: None,
             upload: None,
+            download: None,
             writing: None,
             watches_heartbeat: true,
             error_behaviour: ErrorBehaviour::PreOperational,
@@ -268,7 +270,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     }
 
     fn forget_transfer(&mut self) {
-        (self.request, self.response, self.upload, self.writing) = (None, None, None, None);
+        (self.request, self.response, self.upload) = (None, None, None);
+        (self.download, self.writing) = (None, None);
     }
 
     /// Returns the byte recorded with a fault: the last one of the manufacturer-specific field.

@@ -35,7 +35,24 @@ pub trait Dictionary {
     /// Returns the abort code if the value is rejected; nothing has been written then.
     fn write(&mut self, key: Self::Key, value: u32) -> Result<(), Abort>;
 
-    /// Returns the outcome of the last write, for writes that take time, such as storing parameters (1010h). `None`
+    /// Starts to write an entry of type [`DataType::Domain`](crate::DataType::Domain). `size` is its length in bytes, if the client
+    /// gives it.
+    ///
+    /// # Errors
+    /// Returns the abort code if the write is rejected; by default always [`Abort::ReadOnly`].
+    fn begin_domain(&mut self, _: Self::Key, _size: Option<u32>) -> Result<(), Abort> {
+        Err(Abort::ReadOnly)
+    }
+
+    /// Writes the next bytes of a domain, at most 7. `is_last` is whether they are the last ones.
+    ///
+    /// # Errors
+    /// Returns the abort code if the write is rejected, which ends it; by default always [`Abort::ReadOnly`].
+    fn write_domain(&mut self, _: Self::Key, _bytes: &[u8], _is_last: bool) -> Result<(), Abort> {
+        Err(Abort::ReadOnly)
+    }
+
+    /// Returns the outcome of the last write, or of the last bytes of a domain, for writes that take time, such as storing parameters (1010h). `None`
     /// means that the write is in progress and defers the response to the client.
     ///
     /// The device calls this after each write. While it returns `None`, [`poll_event`](crate::Device::poll_event)

@@ -179,6 +179,7 @@ fn write_entry<K: Copy, const T: usize>(
     writeln!(out, "ParameterName={name}\nObjectType=0x7\nDataType=0x{:04X}", DataType::code(kind))?;
     let access = match source {
         Source::Rpdo { .. } => "rww",
+        _ if kind == DataType::Domain => "wo",
         _ if writable => "rw",
         _ => "ro",
     };

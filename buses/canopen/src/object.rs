@@ -15,15 +15,17 @@ pub enum DataType {
     U32,
     /// VISIBLE_STRING: ASCII text, read in segments.
     Text,
+    /// DOMAIN: any number of bytes, written in segments. It cannot be read.
+    Domain,
 }
 
 impl DataType {
-    /// Returns the length on the bus in bytes, or 0 for text, whose length depends on its value.
+    /// Returns the length on the bus in bytes, or 0 for text and domains, whose length depends on their value.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "a number is never empty")]
     pub const fn len(self) -> u8 {
         match self {
-            Self::Text => 0,
+            Self::Text | Self::Domain => 0,
             Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
             Self::U32 => 4,
@@ -39,6 +41,7 @@ impl DataType {
             Self::U16 => 6,
             Self::U32 => 7,
             Self::Text => 9,
+            Self::Domain => 15,
         }
     }
 }

@@ -1,4 +1,5 @@
-//! SDO protocol: expedited transfer of up to four bytes, and segmented upload of text (CiA 301, 7.2.4.3).
+//! SDO protocol: expedited transfer of up to four bytes, segmented upload of text, and segmented download of domains (CiA 301,
+//! 7.2.4.3).
 
 /// SDO abort code (CiA 301, table 22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -6,8 +7,11 @@
 pub enum Abort {
     /// The toggle bit of a segment did not alternate.
     Toggle = 0x0503_0000,
-    /// Invalid client command specifier: segmented download and block transfer are not supported.
+    /// Invalid client command specifier: no transfer is in progress, only domains are downloaded in segments, and block transfer is
+    /// not supported.
     CommandSpecifier = 0x0504_0001,
+    /// Attempt to read a write-only object.
+    WriteOnly = 0x0601_0001,
     /// Attempt to write a read-only object.
     ReadOnly = 0x0601_0002,
     /// The object does not exist.
@@ -38,11 +42,39 @@ pub(crate) enum Request {
     Read,
     /// A write of this many bytes. `None`: the client gave no size, use the length of the object.
     Write(Option<u8>, u32),
+    /// Start of a download in segments, with the size, if the client gives it.
+    Begin(Option<u32>),
+    /// A segment of a download.
+    Data(Data),
     /// Request for the next segment of an upload, with this toggle bit.
     Segment(bool),
     /// An abort by the client, which gets no response.
     Aborted,
     Other,
+}
+
+/// A segment of a download.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Data {
+    pub(crate) toggle: bool,
+    bytes: [u8; SEGMENT],
+    len: u8,
+    pub(crate) is_last: bool,
+}
+
+impl Data {
+    pub(crate) fn bytes(&self) -> &[u8] {
+        self.bytes.get(..usize::from(self.len)).unwrap_or_default()
+    }
+}
+
+/// A segmented download in progress.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Download {
+    pub(crate) index: u16,
+    pub(crate) sub: u8,
+    /// Toggle bit of the next segment.
+    pub(crate) toggle: bool,
 }
 
 const TOGGLE: u8 = 1 << 4;
@@ -91,11 +123,17 @@ impl Upload {
 pub(crate) fn parse(data: &[u8; 8]) -> (u16, u8, Request) {
     let [specifier, low, high, sub, a, b, c, d] = *data;
     let request = match specifier >> 5 {
-        // Download: only expedited transfer is supported.
         1 if specifier & 0b10 != 0 => {
             let len = (specifier & 0b1 != 0).then_some(4u8.wrapping_sub(specifier >> 2 & 0b11));
             Request::Write(len, u32::from_le_bytes([a, b, c, d]))
         }
+        1 => Request::Begin((specifier & 0b1 != 0).then(|| u32::from_le_bytes([a, b, c, d]))),
+        0 => Request::Data(Data {
+            toggle: specifier & TOGGLE != 0,
+            bytes: [low, high, sub, a, b, c, d],
+            len: (SEGMENT as u8).wrapping_sub(specifier >> 1 & 0b111),
+            is_last: specifier & 0b1 != 0,
+        }),
         2 => Request::Read,
         3 => Request::Segment(specifier & TOGGLE != 0),
         4 => Request::Aborted,
@@ -111,6 +149,10 @@ pub(crate) fn read_response(index: u16, sub: u8, len: u8, value: u32) -> [u8; 8]
 
 pub(crate) fn write_response(index: u16, sub: u8) -> [u8; 8] {
     response(0b0110_0000, index, sub, 0)
+}
+
+pub(crate) fn segment_response(toggle: bool) -> [u8; 8] {
+    [0b0010_0000 | if toggle { TOGGLE } else { 0 }, 0, 0, 0, 0, 0, 0, 0]
 }
 
 pub(crate) fn abort_response(index: u16, sub: u8, abort: Abort) -> [u8; 8] {

@@ -46,14 +46,15 @@ enum Key {
     Broken,
     Slow,
     Name,
+    Image,
 }
 
 const fn object(index: u16, sub: u8, kind: DataType, writable: bool, source: Source<Key>) -> Object<Key> {
     Object { index, sub, kind, writable, mappable: false, name: "", record: "", source }
 }
 
-const OBJECTS: [Object<Key>; 41] = {
-    use DataType::{I16, Text, U8, U16, U32};
+const OBJECTS: [Object<Key>; 42] = {
+    use DataType::{Domain, I16, Text, U8, U16, U32};
     use Pdo::{Receive, Transmit};
     use Source as S;
     [
@@ -88,6 +89,7 @@ const OBJECTS: [Object<Key>; 41] = {
         object(0x1801, 5, U16, true, S::EventTimer(1)),
         object(0x1802, 3, U16, true, S::InhibitTime(2)),
         object(0x1A00, 0, U8, true, S::Mapped(Transmit(0), 3)),
+        object(0x1F50, 1, Domain, true, S::Application(Key::Image)),
         object(0x2000, 0, U8, true, S::Fixed(2)),
         object(0x2000, 1, U8, true, S::Rpdo { number: 0, at: 0 }),
         object(0x2000, 2, I16, false, S::Rpdo { number: 0, at: 6 }),
@@ -107,8 +109,10 @@ struct Application {
     word: u32,
     time_ms: u16,
     name: &'static str,
-    /// Outcome of a write to the slow object.
+    /// Outcome of a write to the slow object and to the domain.
     outcome: Option<Result<(), Abort>>,
+    /// Size and bytes of the domain, and whether it is complete.
+    image: (Option<u32>, Vec<u8>, bool),
 }
 
 impl Dictionary for Application {
@@ -123,7 +127,7 @@ impl Dictionary for Application {
             Key::Byte => Ok(self.byte),
             Key::Word => Ok(self.word),
             Key::Locked => Ok(7),
-            Key::Broken | Key::Slow | Key::Name => Err(Abort::DeviceState),
+            Key::Broken | Key::Slow | Key::Name | Key::Image => Err(Abort::DeviceState),
         }
     }
 
@@ -131,18 +135,29 @@ impl Dictionary for Application {
         if key == Key::Name { Ok(self.name) } else { Err(Abort::NoData) }
     }
 
+    fn begin_domain(&mut self, _: Key, size: Option<u32>) -> Result<(), Abort> {
+        self.image = (size, vec![], false);
+        Ok(())
+    }
+
+    fn write_domain(&mut self, _: Key, bytes: &[u8], is_last: bool) -> Result<(), Abort> {
+        self.image.1.extend(bytes);
+        self.image.2 = is_last;
+        Ok(())
+    }
+
     fn write(&mut self, key: Key, value: u32) -> Result<(), Abort> {
         match key {
             Key::Byte => self.byte = value,
             Key::Word => self.word = value,
             Key::Slow => {}
-            Key::Locked | Key::Broken | Key::Name => return Err(Abort::DeviceState),
+            Key::Locked | Key::Broken | Key::Name | Key::Image => return Err(Abort::DeviceState),
         }
         Ok(())
     }
 
     fn outcome(&self, key: Key) -> Option<Result<(), Abort>> {
-        if key == Key::Slow { self.outcome } else { Some(Ok(())) }
+        if matches!(key, Key::Slow | Key::Image) { self.outcome } else { Some(Ok(())) }
     }
 
     fn consumer_time_ms(&self) -> u16 {
@@ -170,7 +185,8 @@ struct Bus {
 
 impl Bus {
     fn new() -> Self {
-        let application = Application { byte: 0, word: 0, time_ms: TIME_MS, name: NAME, outcome: None };
+        let (outcome, image) = (None, (None, vec![], false));
+        let application = Application { byte: 0, word: 0, time_ms: TIME_MS, name: NAME, outcome, image };
         // Shortly before the clock wraps.
         let now_ms = u32::MAX - 50;
         Self { device: Device::new(&PROFILE, CONFIG), application, now_ms, events: vec![], sent: vec![] }
@@ -1390,6 +1406,60 @@ fn new_request_replaces_a_write_in_progress() {
         bus.pass(30);
         assert!(bus.take(0x580).is_empty());
     }
+}
+
+/// Starts a download of 8 bytes to the domain.
+const BEGIN: [u8; 8] = [0x21, 0x50, 0x1F, 1, 8, 0, 0, 0];
+const FIRST_SEGMENT: [u8; 8] = [0x00, 1, 2, 3, 4, 5, 6, 7];
+const LAST_SEGMENT: [u8; 8] = [0x1D, 8, 0, 0, 0, 0, 0, 0];
+
+#[test]
+fn domain_is_downloaded_in_segments_each_answered_when_written() {
+    let mut bus = Bus::operational();
+    bus.application.outcome = Some(Ok(()));
+    assert_eq!(bus.sdo(BEGIN), [[0x60, 0x50, 0x1F, 1, 0, 0, 0, 0]]);
+    bus.application.outcome = None;
+    assert!(bus.sdo(FIRST_SEGMENT).is_empty());
+    assert!(bus.sdo(FIRST_SEGMENT).is_empty(), "an impatient client repeats it");
+    bus.application.outcome = Some(Ok(()));
+    bus.pass(1);
+    assert_eq!(bus.take(0x580), [[0x20, 0, 0, 0, 0, 0, 0, 0]], "once");
+    assert_eq!(bus.application.image, (Some(8), vec![1, 2, 3, 4, 5, 6, 7], false));
+    assert_eq!(bus.sdo(LAST_SEGMENT), [[0x30, 0, 0, 0, 0, 0, 0, 0]]);
+    assert_eq!(bus.application.image, (Some(8), vec![1, 2, 3, 4, 5, 6, 7, 8], true));
+    assert_eq!(bus.events.iter().filter(|event| **event != READ).count(), 1, "{:?}", bus.events);
+    assert_eq!(bus.upload(0x1F50, 1), Err(0x0601_0001));
+    assert_eq!(bus.sdo([0x20, 0x50, 0x1F, 1, 0, 0, 0, 0]).len(), 1);
+    assert_eq!(bus.application.image.0, None, "without a size");
+}
+
+#[test]
+fn download_ends_on_wrong_toggle_bit_failure_abort_or_new_request() {
+    let abort = |[a, b, c, d]: [u8; 4]| [[0x80, 0x50, 0x1F, 1, a, b, c, d]];
+    let mut bus = Bus::operational();
+    bus.application.outcome = Some(Ok(()));
+    bus.sdo(BEGIN);
+    assert_eq!(bus.sdo(LAST_SEGMENT), abort([0, 0, 0x03, 0x05]), "toggled");
+    assert_eq!(bus.sdo(FIRST_SEGMENT)[0][4..], [1, 0, 4, 5], "after the abort by the server");
+    let ends: [fn(&mut Bus); 4] = [
+        |bus| assert!(bus.sdo([0x80, 0x50, 0x1F, 1, 0, 0, 0, 0]).is_empty()),
+        |bus| assert!(bus.upload(0x1000, 0).is_ok()),
+        |bus| bus.nmt(0x02),
+        |bus| {
+            bus.application.outcome = Some(Err(Abort::Hardware));
+            assert_eq!(bus.sdo(FIRST_SEGMENT)[0][4..], [0, 0, 0x06, 0x06]);
+        },
+    ];
+    for end in ends {
+        let mut bus = Bus::operational();
+        bus.application.outcome = Some(Ok(()));
+        bus.sdo(BEGIN);
+        end(&mut bus);
+        bus.nmt(0x01);
+        let [.., a, b, c, d] = bus.sdo([0x10, 1, 2, 3, 4, 5, 6, 7])[0][..] else { panic!() };
+        assert_eq!([a, b, c, d], [1, 0, 4, 5], "no download is in progress");
+    }
+    assert_eq!(bus.sdo([0x21, 0x08, 0x10, 0, 8, 0, 0, 0])[0][4..], [2, 0, 1, 6], "a text is read-only");
 }
 
 #[test]

@@ -43,6 +43,27 @@ pub trait Device {
     /// Returns the exception to send as the response, and leaves all registers unchanged.
     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception>;
 
+    /// Writes all records of a request (FC 21). The response repeats the request.
+    ///
+    /// # Errors
+    /// Returns the exception to send as the response, and leaves all files unchanged; by default always
+    /// [`Exception::IllegalFunction`].
+    fn write_file_records(&mut self, _: FileRecords<'_>) -> Result<(), Exception> {
+        Err(Exception::IllegalFunction)
+    }
+
+    /// Returns the outcome of the last successful [`write_file_records`](Self::write_file_records), for a device whose
+    /// writes take time. `None` means that the write is in progress and defers the response.
+    ///
+    /// [`rtu::Server`](crate::rtu::Server) calls this after the write, and repeats it in each call of
+    /// [`silence`](crate::rtu::Server::silence) until the client sends another request. [`serve`](crate::serve) responds at once.
+    ///
+    /// # Errors
+    /// Returns the exception to send if the write failed.
+    fn outcome(&self) -> Option<Result<(), Exception>> {
+        Some(Ok(()))
+    }
+
     /// Returns the device identification (FC 43/14; on a serial line also FC 17).
     fn identification(&self) -> Identification;
 }
@@ -121,10 +142,81 @@ impl<'a> Words<'a> {
         self.len() == 0
     }
 
+    /// Returns the bytes as sent, the high byte of each register first.
+    #[must_use]
+    pub const fn as_bytes(self) -> &'a [u8] {
+        self.bytes
+    }
+
     /// Iterates over the registers in ascending order of address.
     pub fn iter(self) -> impl Iterator<Item = u16> + Clone + 'a {
         self.bytes.as_chunks().0.iter().map(|pair| u16::from_be_bytes(*pair))
     }
+}
+
+/// Consecutive records of a file: a group of a Write File Record request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileRecord<'a> {
+    /// Number of the file, from 1.
+    pub file: u16,
+    /// Number of the first record, 0 to 9999.
+    pub first: u16,
+    /// A register for each record.
+    pub values: Words<'a>,
+}
+
+/// Groups of a Write File Record request (FC 21), which all exist according to the specification.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileRecords<'a> {
+    groups: &'a [u8],
+}
+
+impl<'a> FileRecords<'a> {
+    /// Checks the groups of a request.
+    pub(super) fn new(groups: &'a [u8]) -> Result<Self, Exception> {
+        let mut rest = groups;
+        while !rest.is_empty() {
+            let (_, record, others) = group(rest).ok_or(Exception::IllegalDataValue)?;
+            if record.values.is_empty() {
+                return Err(Exception::IllegalDataValue);
+            }
+            rest = others;
+        }
+        rest = groups;
+        while let Some((reference, FileRecord { file, first, values }, others)) = group(rest) {
+            let end = usize::from(first).saturating_add(values.len());
+            if reference != REFERENCE_TYPE || file == 0 || end > RECORDS {
+                return Err(Exception::IllegalDataAddress);
+            }
+            rest = others;
+        }
+        Ok(Self { groups })
+    }
+
+    /// Iterates over the groups in the order of the request.
+    pub fn iter(self) -> impl Iterator<Item = FileRecord<'a>> + 'a {
+        let mut rest = self.groups;
+        core::iter::from_fn(move || {
+            let (_, record, others) = group(rest)?;
+            rest = others;
+            Some(record)
+        })
+    }
+}
+
+/// Reference type of each group (specification, 6.15).
+const REFERENCE_TYPE: u8 = 6;
+
+/// Number of records in a file.
+const RECORDS: usize = 10_000;
+
+/// Splits off the first group, with its reference type. Returns `None` if it is not complete.
+fn group(groups: &[u8]) -> Option<(u8, FileRecord<'_>, &[u8])> {
+    let (&[reference, f1, f0, r1, r0, n1, n0], rest) = groups.split_first_chunk()?;
+    let len = usize::from(u16::from_be_bytes([n1, n0])).saturating_mul(2);
+    let (values, rest) = rest.split_at_checked(len)?;
+    let (file, first) = (u16::from_be_bytes([f1, f0]), u16::from_be_bytes([r1, r0]));
+    Some((reference, FileRecord { file, first, values: Words::new(values) }, rest))
 }
 
 /// Returns bit n mod 8 of byte n div 8, or `None` past the end of `bytes`.

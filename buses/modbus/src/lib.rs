@@ -4,7 +4,7 @@
 //! over a [`Device`], independent of the transport. [`rtu`] implements the serial line (*MODBUS over serial line
 //! V1.02*). [`tcp`] implements the TCP header (*messaging implementation guide V1.0b*).
 //!
-//! Supports FC 1, 2, 3, 4, 5, 6, 15, 16, 22, 23 and 43/14, and FC 8 and 17 on a serial line. Does not include a client,
+//! Supports FC 1, 2, 3, 4, 5, 6, 15, 16, 21, 22, 23 and 43/14, and FC 8 and 17 on a serial line. Does not include a client,
 //! ASCII framing, sockets, UARTs or clocks. The caller owns bytes and time.
 //!
 //! ```
@@ -70,7 +70,7 @@ mod pdu;
 pub mod rtu;
 pub mod tcp;
 
-pub use device::{Bits, Device, Words};
+pub use device::{Bits, Device, FileRecord, FileRecords, Words};
 pub use exception::Exception;
 pub use identification::Identification;
 use pdu::serve_as;

@@ -3,7 +3,7 @@
 mod identification;
 
 use self::identification::MEI_TYPE;
-use super::{Bits, Device, Exception, Words};
+use super::{Bits, Device, Exception, FileRecords, Words};
 
 /// Maximum length of a PDU in bytes.
 pub const MAX_PDU_LEN: usize = 253;
@@ -33,6 +33,8 @@ pub enum Function {
     WriteMultipleRegisters = 16,
     /// 17 (11h): Report Server ID (6.13), on a serial line only.
     ReportServerId = 17,
+    /// 21 (15h): Write File Record (6.15).
+    WriteFileRecord = 21,
     /// 22 (16h): Mask Write Register (6.16).
     MaskWriteRegister = 22,
     /// 23 (17h): Read/Write Multiple Registers (6.17).
@@ -43,7 +45,7 @@ pub enum Function {
 
 impl Function {
     /// All supported functions, in ascending order of code.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::ReadCoils,
         Self::ReadDiscreteInputs,
         Self::ReadHoldingRegisters,
@@ -54,6 +56,7 @@ impl Function {
         Self::WriteMultipleCoils,
         Self::WriteMultipleRegisters,
         Self::ReportServerId,
+        Self::WriteFileRecord,
         Self::MaskWriteRegister,
         Self::ReadWriteMultipleRegisters,
         Self::EncapsulatedInterfaceTransport,
@@ -147,6 +150,7 @@ fn answer<D: Device + ?Sized>(
         Function::ReportServerId => {
             identification::report(unit.ok_or(Exception::IllegalFunction)?, data, device, reply)
         }
+        Function::WriteFileRecord => write_file_records(data, device, reply),
         Function::MaskWriteRegister => mask_write_register(data, device, reply),
         Function::ReadWriteMultipleRegisters => read_write_multiple_registers(data, device, reply),
         Function::EncapsulatedInterfaceTransport => match data.split_first() {
@@ -266,6 +270,22 @@ fn write_multiple_registers<D: Device + ?Sized>(
     let (first, quantity, values) = counted(data, |quantity| quantity.wrapping_mul(2), 0x007B)?;
     device.write_registers(first, Words::new(values))?;
     reply.put_block(first, quantity)
+}
+
+/// Valid values of the byte count in Write File Record: from one group with one record to the longest PDU.
+const FILE_RECORD_BYTES: core::ops::RangeInclusive<u8> = 0x09..=0xFB;
+
+fn write_file_records<D: Device + ?Sized>(
+    data: &[u8],
+    device: &mut D,
+    reply: &mut Reply<'_>,
+) -> Result<(), Exception> {
+    let (&count, groups) = data.split_first().ok_or(Exception::IllegalDataValue)?;
+    if !FILE_RECORD_BYTES.contains(&count) || groups.len() != usize::from(count) {
+        return Err(Exception::IllegalDataValue);
+    }
+    device.write_file_records(FileRecords::new(groups)?)?;
+    reply.put(data)
 }
 
 fn mask_write_register<D: Device + ?Sized>(

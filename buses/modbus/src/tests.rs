@@ -56,13 +56,25 @@ pub(super) struct Plant {
     refusal: Option<Exception>,
     /// First address and length of each write passed to the device.
     writes: Vec<(u16, usize)>,
+    /// File, first record and data of each group passed to the device.
+    records: Vec<(u16, u16, Vec<u8>)>,
+    /// Outcome of a write of file records.
+    pub(super) outcome: Option<Result<(), Exception>>,
     regular: bool,
     name: &'static str,
 }
 
 impl Plant {
     pub(super) fn new() -> Self {
-        Self { tables: Tables::default(), refusal: None, writes: vec![], regular: true, name: "V" }
+        Self {
+            tables: Tables::default(),
+            refusal: None,
+            writes: vec![],
+            records: vec![],
+            outcome: Some(Ok(())),
+            regular: true,
+            name: "V",
+        }
     }
 
     fn ask(&mut self, request: &[u8]) -> Vec<u8> {
@@ -102,6 +114,18 @@ impl Device for Plant {
             return Err(refusal);
         }
         self.tables.write_registers(first, values)
+    }
+
+    fn write_file_records(&mut self, records: FileRecords<'_>) -> Result<(), Exception> {
+        if let Some(refusal) = self.refusal {
+            return Err(refusal);
+        }
+        self.records.extend(records.iter().map(|it| (it.file, it.first, it.values.as_bytes().to_vec())));
+        Ok(())
+    }
+
+    fn outcome(&self) -> Option<Result<(), Exception>> {
+        self.outcome
     }
 
     fn identification(&self) -> Identification {
@@ -251,6 +275,55 @@ fn multiple_writes_whose_counts_disagree_are_03() {
         &[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0],
     ] {
         refused(request, ILLEGAL_VALUE);
+    }
+}
+
+/// Returns a request that writes these groups: reference type, file, first record and number of records.
+fn file_request(groups: &[(u8, u16, u16, u8)]) -> Vec<u8> {
+    let group = |(reference, file, first, count): &(u8, u16, u16, u8)| {
+        let head = [&[*reference][..], &file.to_be_bytes(), &first.to_be_bytes(), &[0, *count]].concat();
+        [head, (0..2 * count).collect()].concat()
+    };
+    let data: Vec<u8> = groups.iter().flat_map(group).collect();
+    [&[21, data.len() as u8][..], &data].concat()
+}
+
+#[test]
+fn write_file_record_passes_all_groups_and_echoes() {
+    let mut plant = Plant::new();
+    // The specification's example.
+    let request = [21, 0x0D, 6, 0, 4, 0, 7, 0, 3, 0x06, 0xAF, 0x04, 0xBE, 0x10, 0x0D];
+    assert_eq!(plant.ask(&request), request);
+    assert_eq!(plant.records, [(4, 7, vec![0x06, 0xAF, 0x04, 0xBE, 0x10, 0x0D])]);
+    let request = file_request(&[(6, u16::MAX, 9_999, 1), (6, 1, 9_880, 116)]);
+    assert_eq!(plant.ask(&request), request, "the longest request with two groups");
+    assert_eq!(plant.records[1..], [(u16::MAX, 9_999, vec![0, 1]), (1, 9_880, (0..232).collect())]);
+    plant.refusal = Some(Exception::ServerDeviceBusy);
+    assert_eq!(plant.ask(&request), [0x95, 6]);
+    assert_eq!(Plant::new().ask(&file_request(&[(6, 1, 0, 122)])).len(), 253, "the longest request");
+}
+
+#[test]
+fn file_records_that_cannot_exist_are_02_and_counts_that_disagree_03() {
+    for (groups, exception) in [
+        (&[(5, 1, 0, 1)][..], ILLEGAL_ADDRESS),
+        (&[(6, 1, 0, 1), (7, 1, 0, 1)], ILLEGAL_ADDRESS),
+        (&[(6, 0, 0, 1)], ILLEGAL_ADDRESS),
+        (&[(6, 1, 10_000, 1)], ILLEGAL_ADDRESS),
+        (&[(6, 1, 9_999, 2)], ILLEGAL_ADDRESS),
+        (&[], ILLEGAL_VALUE),
+        (&[(6, 1, 0, 0)], ILLEGAL_VALUE),
+        (&[(5, 1, 0, 1), (6, 1, 0, 0)], ILLEGAL_VALUE),
+    ] {
+        refused(&file_request(groups), exception);
+    }
+    let whole = file_request(&[(6, 1, 0, 2), (6, 2, 0, 2)]);
+    for len in 1..whole.len() {
+        refused(&whole[..len], ILLEGAL_VALUE);
+        let cut = [&[21, len.saturating_sub(2) as u8], &whole[2..len.max(2)]].concat();
+        let is_whole = len == 2 + 11;
+        let answer = Plant::new().ask(&cut);
+        assert_eq!(answer[..2], if is_whole { [21, 11] } else { [0x95, ILLEGAL_VALUE] }, "{cut:02X?}");
     }
 }
 
@@ -447,6 +520,28 @@ fn by_the_specification(request: &[u8]) -> Result<usize, u8> {
             let (first, count) = block(0, 0x7B, &|count| 2 * count)?;
             writable(first, count).map(|()| 5)
         }
+        21 => {
+            let (mut at, mut exists) = (1, true);
+            let fits = data
+                .first()
+                .is_some_and(|count| (9..=251).contains(count) && data.len() == 1 + usize::from(*count));
+            while fits && at < data.len() {
+                let len = if at + 7 <= data.len() { 2 * word(at + 5) } else { 0 };
+                if len == 0 || at + 7 + len > data.len() {
+                    return Err(3);
+                }
+                let is_last = word(at + 3) + word(at + 5) > 10_000;
+                exists &= data[at] == 6 && word(at + 1) != 0 && !is_last;
+                at += 7 + len;
+            }
+            if !fits {
+                Err(3)
+            } else if exists {
+                Ok(request.len())
+            } else {
+                Err(2)
+            }
+        }
         22 if data.len() != 6 => Err(3),
         22 => holding(word(0), 1).and(writable(word(0), 1)).map(|()| 7),
         23 => {
@@ -493,6 +588,10 @@ fn every_function_at_every_length_is_answered_as_specified() {
                 data.resize(len, 0);
                 data
             };
+            let file = || {
+                let count = len.saturating_sub(8) as u8 / 2;
+                [vec![len.saturating_sub(1) as u8, 6, 0, 1, 0, 9, 0, count], fill(7)].concat()[..len].to_vec()
+            };
             let identify = [&[14, 1, 0][..], &fill(0)].concat()[..len].to_vec();
             for data in [
                 fill(0),
@@ -505,6 +604,7 @@ fn every_function_at_every_length_is_answered_as_specified() {
                 one_too_long(0),
                 one_too_long(4),
                 identify,
+                file(),
             ] {
                 let request = [&[code], &data[..]].concat();
                 let mut plant = Plant::new();
@@ -525,7 +625,7 @@ fn every_function_at_every_length_is_answered_as_specified() {
     }
     // Guards against a vacuous test: each supported function must have succeeded at least once.
     let served: Vec<u8> = (0..=255).filter(|code| answered[usize::from(*code)] > 0).collect();
-    assert_eq!(served, [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43]);
+    assert_eq!(served, [1, 2, 3, 4, 5, 6, 15, 16, 21, 22, 23, 43]);
 }
 
 #[test]

@@ -19,6 +19,7 @@ const BITS: std::ops::Range<u16> = 40..60;
 const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 7, DIAGNOSTICS, IDENTIFICATION];
 const DIAGNOSTICS: u8 = 8;
 const REPORT_SERVER_ID: u8 = 17;
+const WRITE_FILE_RECORD: u8 = 21;
 const IDENTIFICATION: u8 = 43;
 const MAY_BE_BROADCAST: [u8; 5] = [5, 6, 15, 16, 22];
 
@@ -37,7 +38,7 @@ enum Outcome {
     Passed,
     Served,
     Answer(Vec<u8>),
-    /// FC 8, FC 17 and FC 43 are not modelled.
+    /// FC 8, FC 17, FC 21 and FC 43 are not modelled.
     Unmodelled,
 }
 
@@ -205,7 +206,11 @@ impl Model {
         let (unit, function, data) = (body[0], body[1], &body[2..]);
         let may_be_broadcast = self.config.broadcast && MAY_BE_BROADCAST.contains(&function);
         match unit {
-            UNIT if matches!(function, DIAGNOSTICS | REPORT_SERVER_ID | IDENTIFICATION) => {
+            UNIT if matches!(
+                function,
+                DIAGNOSTICS | REPORT_SERVER_ID | WRITE_FILE_RECORD | IDENTIFICATION
+            ) =>
+            {
                 return Outcome::Unmodelled;
             }
             UNIT => {}

@@ -74,6 +74,7 @@ fn request_len(frame: &[u8]) -> usize {
     match frame.get(1).copied().unwrap_or(0) {
         1..=6 | 8 => 8,
         15 | 16 => 9 + count(6),
+        21 => 5 + count(2),
         22 => 10,
         23 => 13 + count(10),
         43 => 7,

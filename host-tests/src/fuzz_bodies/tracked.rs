@@ -34,7 +34,7 @@ pub(super) const FIRST_RECIPE: usize = 109;
 pub(super) const BUS_RECIPE: usize = 173;
 
 /// SAVE, RESTORE and DEFAULTS.
-const COMMANDS: std::ops::Range<usize> = 200..203;
+const COMMANDS: std::ops::Range<usize> = 200..205;
 const SAVE: usize = 200;
 const RESTORE: usize = 201;
 

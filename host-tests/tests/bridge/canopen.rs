@@ -362,8 +362,8 @@ fn sdo_abort_states_the_reason() {
 }
 
 /// Objects of CiA 301 (7.5.2): index, subindices, type, write access.
-const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool); 42] = {
-    use DataType::{Text, U8, U16, U32};
+const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool); 46] = {
+    use DataType::{Domain, Text, U8, U16, U32};
     [
         (0x1000, 0..=0, U32, false),
         (0x1001, 0..=0, U8, false),
@@ -407,6 +407,10 @@ const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool
         (0x1A00, 1..=4, U32, true),
         (0x1A01, 0..=0, U8, true),
         (0x1A01, 1..=2, U32, true),
+        (0x1F50, 0..=0, U8, false),
+        (0x1F50, 1..=1, Domain, true),
+        (0x1F51, 0..=0, U8, false),
+        (0x1F51, 1..=1, U8, true),
     ]
 };
 
@@ -444,6 +448,10 @@ fn every_object_is_read_and_written_by_its_type_and_access() {
                 assert_eq!(master.download(index, sub, Value::Unsigned32(0)), Err(0x0601_0002), "{what}");
                 continue;
             }
+            DataType::Domain => {
+                assert_eq!(master.upload(index, sub, Theirs::Unsigned32), Err(0x0601_0001), "{what}");
+                continue;
+            }
             DataType::I16 => (Theirs::Integer16, Value::Unsigned32(0)),
             DataType::U8 => (Theirs::Unsigned8, Value::Unsigned16(0)),
             DataType::U16 => (Theirs::Unsigned16, Value::Unsigned32(0)),
@@ -459,6 +467,8 @@ fn every_object_is_read_and_written_by_its_type_and_access() {
         let written = match (index, writable) {
             // These require a signature.
             (0x1010 | 0x1011, true) => Err(0x0800_0020),
+            // Without a boot loader.
+            (0x1F51, true) => Err(0x0800_0021),
             (_, true) => Ok(()),
             (_, false) => Err(0x0601_0002),
         };

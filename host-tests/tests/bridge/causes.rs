@@ -7,8 +7,9 @@ use canopen_rs::{Address, DataType, Value, sdo};
 use host_tests::addresses::{report, setting};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
 use host_tests::serial_gripper::SerialGripper;
+use host_tests::slot_model::{SlotModel, signed};
 use host_tests::world::modbus::Master;
-use host_tests::world::{World, quick, with_part};
+use host_tests::world::{BOARD, World, quick, with_part};
 use wsg_bridge_fw::can::DEFAULT_NODE;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::canopen::REPORTS_INDEX;
@@ -162,6 +163,16 @@ impl Plant {
         assert_eq!(self.rig.by_service(|rig| rig.set_register(address, value)), Ok(()), "accepted");
     }
 
+    /// Sends an image over the service port, in one block.
+    fn begin_update(&mut self) {
+        self.rig.flash.slot = Some(SlotModel::new());
+        self.pass(2);
+        let image = signed(64, BOARD.name, [0; 3]);
+        let len = image.len() as u8;
+        let request = [&[21, 7 + len, 6, 0, 1, 0, 0, 0, len / 2], &image[..]].concat();
+        self.rig.by_service(|rig| assert_eq!(rig.ask(&request), request));
+    }
+
     /// Reads reports over the PLC's bus.
     fn over_bus(&mut self, first: u16, count: u8) -> Vec<u16> {
         if self.plc_bus == PlcBus::Canopen {
@@ -228,6 +239,9 @@ impl Expected {
 
 /// An event's reports, a station with its PLC on a bus, and what provokes the event on it.
 type Case = (Expected, fn(PlcBus) -> Plant, fn(&mut Plant));
+
+const UPDATE_CHECK: u16 = FIRST_COMMAND + 3;
+const UPDATE_RESTART: u16 = FIRST_COMMAND + 4;
 
 const MOVED: Option<CommandId> = Some(CommandId::PrePosition);
 const FAST_STOP: u16 = 0xFF01;
@@ -396,6 +410,19 @@ const CASES: &[Case] = {
             },
             |_| {},
         ),
+        (refusal(E::UpdateRuns, None, 0), Plant::homed, Plant::begin_update),
+        (fast_stop(E::UpdateRestart, None, 0), Plant::homed, |plant| {
+            plant.begin_update();
+            for command in [UPDATE_CHECK, UPDATE_RESTART] {
+                plant.set(command, COMMAND_KEY);
+                plant.pass(200);
+            }
+        }),
+        // 1: no boot loader.
+        (refusal(E::UpdateRefused, None, 1).with_error(None), Plant::homed, |plant| {
+            let refused = plant.rig.by_service(|rig| rig.set_register(UPDATE_RESTART, COMMAND_KEY));
+            assert_eq!(refused, Err(1));
+        }),
         // 2: write-protected.
         (refusal(E::SaveFailed, None, 2).with_error(None), Plant::homed, |plant| {
             plant.rig.flash.fault = Some(FlashFault::Protected);

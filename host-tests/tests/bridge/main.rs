@@ -16,4 +16,5 @@ mod service_port;
 mod settings;
 mod station;
 mod storage;
+mod update;
 mod wires;

@@ -235,7 +235,7 @@ fn reports_name_versions_and_the_gripper() {
     let mut rig = Master::ready_with(Config::DEFAULT, gripper);
     let reports = rig.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
     let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
-    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (7, 0x0001));
+    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (8, 0x0001));
     assert_eq!((of("GRIPPER_TYPE"), of("GRIPPER_LINK")), (1, 2));
     assert_eq!((of("SERIAL_HIGH"), of("SERIAL_LOW")), (3, 2));
     assert_eq!((of("BUS_RATE"), of("BUS_FORMAT")), (192, 0));

@@ -328,8 +328,8 @@ fn unusable_settings_block_motions_until_others_are_stored() {
     }
 }
 
-/// Records of released and earlier images: the double words of the flash, and the settings that they hold. A new
-/// MAP_VERSION adds a file.
+/// Records of released and earlier images: the double words of the flash, and the settings that they hold. A MAP_VERSION with
+/// other settings adds a file.
 const RECORDED: [&str; 2] = [include_str!("records/map-5.txt"), include_str!("records/map-7.txt")];
 
 #[test]

@@ -13,6 +13,7 @@ fn eds_file_is_to_canopen_and_dcf_tools_what_the_tables_say() {
     for object in OBJECTS {
         let access = match (object.index, object.writable) {
             (OUTPUT_INDEX, true) => "rww",
+            (_, true) if object.kind == DataType::Domain => "wo",
             (_, true) => "rw",
             (_, false) => "ro",
         };

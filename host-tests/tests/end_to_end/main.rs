@@ -17,4 +17,6 @@ mod profibus;
 mod profinet;
 mod signatures;
 #[cfg(unix)]
+mod update;
+#[cfg(unix)]
 mod wine;

@@ -9,7 +9,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
+use bus_modbus::Function;
+use bus_modbus::rtu::crc;
 use serial2_tokio::SerialPort;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::timeout;
@@ -19,7 +22,7 @@ use tokio_modbus::{Error, ExceptionCode, Request, Response};
 use wsg_bridge_fw::BusConfig;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, Record,
-    SETTINGS, StoreCommand,
+    RegisterCommand, SETTINGS, StoreCommand, UpdateCommand,
 };
 use wsg_fieldbus::InputImage;
 use wsg_sim::command_line::after_scheme;
@@ -61,6 +64,8 @@ pub(crate) struct Client {
     runtime: Runtime,
     /// The open port, or `None` after a failure.
     context: Option<Context>,
+    /// The open port while blocks are written: `tokio-modbus` does not know their response.
+    block_line: Option<WithoutStrays<SerialPort>>,
     image_was_read: bool,
 }
 
@@ -131,10 +136,7 @@ impl Client {
     /// Opens the serial port, or the connection to `tcp://HOST[:502][?unit=1]`, and checks that a bridge with the supported register map
     /// responds.
     pub(crate) fn open(port: &str) -> Result<Self> {
-        let runtime =
-            Builder::new_current_thread().enable_all().build().context("cannot start the I/O runtime")?;
-        let context = Some(runtime.block_on(connect(port))?);
-        let mut client = Self { port: port.to_owned(), runtime, context, image_was_read: false };
+        let mut client = Self::open_any(port)?;
         let version = match client.read_reports(1) {
             Ok(reports) => reports.first().copied().unwrap_or_default(),
             Err(Failure::NoAnswer) => bail!(
@@ -151,6 +153,14 @@ impl Client {
             );
         }
         Ok(client)
+    }
+
+    /// Opens a connection without a request, for a bridge with any register map.
+    pub(crate) fn open_any(port: &str) -> Result<Self> {
+        let runtime =
+            Builder::new_current_thread().enable_all().build().context("cannot start the I/O runtime")?;
+        let context = Some(runtime.block_on(connect(port))?);
+        Ok(Self { port: port.to_owned(), runtime, context, block_line: None, image_was_read: false })
     }
 
     /// Reads all settings, in the order of `SETTINGS`.
@@ -177,9 +187,14 @@ impl Client {
         self.read(&Request::ReadInputRegisters(FIRST_REPORT, count), count)
     }
 
+    /// Reads the first reports, which are the same in every register map: its version and that of the firmware.
+    pub(crate) fn first_reports(&mut self) -> Result<Vec<u16>, Failure> {
+        self.read_reports(1 + report("BRIDGE_PATCH") as u16)
+    }
+
     /// Reads the firmware version, such as `0.1.0`.
     pub(crate) fn firmware(&mut self) -> Result<String, Failure> {
-        let reports = self.reports()?;
+        let reports = self.first_reports()?;
         let of = |name: &str| reports.get(report(name)).copied().unwrap_or_default();
         let [major, minor] = of("BRIDGE_VERSION").to_be_bytes();
         Ok(format!("{major}.{minor}.{}", of("BRIDGE_PATCH")))
@@ -217,9 +232,7 @@ impl Client {
 
     /// Stores the settings, reverts to the stored ones or resets to the defaults, and waits for completion.
     pub(crate) fn command(&mut self, command: StoreCommand) -> Result<()> {
-        let place = COMMANDS.iter().position(|it| it.command == command).unwrap_or_default();
-        let register = FIRST_COMMAND + place as u16;
-        self.ask_once(async |context| context.write_single_register(register, COMMAND_KEY).await)?;
+        self.write_key(RegisterCommand::Store(command))?;
         if command == StoreCommand::Restore {
             return Ok(());
         }
@@ -236,6 +249,38 @@ impl Client {
             }
         }
         bail!("time-out: the bridge is still storing the settings");
+    }
+
+    fn write_key(&mut self, command: RegisterCommand) -> Result<(), Failure> {
+        let place = COMMANDS.iter().position(|it| it.command == command).unwrap_or_default();
+        let register = FIRST_COMMAND + place as u16;
+        self.ask_once(async |context| context.write_single_register(register, COMMAND_KEY).await)
+    }
+
+    /// Executes a command of an update, and repeats it if there is no response: a second one has no effect.
+    pub(crate) fn command_update(&mut self, command: UpdateCommand) -> Result<(), Failure> {
+        match self.write_key(RegisterCommand::Update(command)) {
+            Err(Failure::NoAnswer) => self.write_key(RegisterCommand::Update(command)),
+            done => done,
+        }
+    }
+
+    /// Writes a block of an image, of up to [`BLOCK_LEN`] bytes, at an even offset (FC 21). Never retries.
+    pub(crate) fn write_block(&mut self, at: usize, bytes: &[u8]) -> Result<(), Failure> {
+        self.context = None;
+        let Self { port, runtime, block_line, .. } = self;
+        let written = runtime.block_on(async {
+            let line = match &mut *block_line {
+                Some(line) => line,
+                none => none.insert(open_port(port).map_err(|error| Failure::Port(io::Error::other(error)))?),
+            };
+            within(exchange(line, &block_request(at, bytes))).await.unwrap_or(Err(Failure::NoAnswer))
+        });
+        if !matches!(written, Ok(()) | Err(Failure::Refused(_))) {
+            // A late response must not answer the next request.
+            *block_line = None;
+        }
+        written
     }
 
     /// Reads `count` registers with one request.
@@ -272,6 +317,7 @@ impl Client {
         &mut self,
         mut request: impl AsyncFnMut(&mut Context) -> Result<Result<T, ExceptionCode>, Error>,
     ) -> Result<T, Failure> {
+        self.block_line = None;
         if self.context.is_none() {
             // Reopen the port, so that a late response is not mistaken for the next one.
             let opened = self.runtime.block_on(connect(&self.port));
@@ -290,6 +336,47 @@ impl Client {
     }
 }
 
+/// Most bytes of a block: one group of file records. It divides a file, so no block is in two files.
+pub(crate) const BLOCK_LEN: usize = 200;
+
+/// Registers of a file, whose successor has the next bytes.
+const FILE_RECORDS: usize = 10_000;
+const _: () = assert!((2 * FILE_RECORDS).is_multiple_of(BLOCK_LEN));
+
+/// Returns a frame that writes a block as file records.
+fn block_request(at: usize, bytes: &[u8]) -> Vec<u8> {
+    let [file, record] =
+        [1 + at / 2 / FILE_RECORDS, at / 2 % FILE_RECORDS].map(|it| (it as u16).to_be_bytes());
+    let [count, len] = [bytes.len() as u8 / 2, bytes.len() as u8 + 7];
+    let mut frame = vec![BusConfig::SERVICE.unit, Function::WriteFileRecord.code(), len, FILE_REFERENCE];
+    frame.extend(file.into_iter().chain(record).chain([0, count]).chain(bytes.iter().copied()));
+    frame.extend(crc(&frame).to_le_bytes());
+    frame
+}
+
+/// Reference type of file records.
+const FILE_REFERENCE: u8 = 6;
+
+/// Sends a request whose response repeats it, and waits for this or for an exception.
+async fn exchange(line: &mut WithoutStrays<SerialPort>, request: &[u8]) -> Result<(), Failure> {
+    line.write_all(request).await.map_err(Failure::Port)?;
+    let mut answer = Vec::new();
+    loop {
+        let mut bytes = [0; 256];
+        let count = line.read(&mut bytes).await.map_err(Failure::Port)?;
+        answer.extend_from_slice(bytes.get(..count).unwrap_or_default());
+        match answer[..] {
+            _ if count == 0 => return Err(Failure::Port(ErrorKind::UnexpectedEof.into())),
+            _ if answer == request => return Ok(()),
+            [_, code, reason, _, _] if code & 0x80 != 0 && crc(&answer) == 0 => {
+                return Err(Failure::Refused(ExceptionCode::new(reason)));
+            }
+            _ if answer.len() >= request.len() => return Err(Failure::NoAnswer),
+            _ => {}
+        }
+    }
+}
+
 async fn within<T>(answer: impl Future<Output = T>) -> Option<T> {
     timeout(PATIENCE, answer).await.ok()
 }
@@ -304,11 +391,15 @@ pub(crate) async fn connect(port: &str) -> Result<Context> {
     if after_scheme(port, "tcp://").is_some() {
         return connect_to_gateway(&port.parse().map_err(anyhow::Error::msg)?).await;
     }
+    Ok(rtu::attach_slave(open_port(port)?, Slave(BusConfig::SERVICE.unit)))
+}
+
+fn open_port(port: &str) -> Result<WithoutStrays<SerialPort>> {
     let opened = SerialPort::open(port, BusConfig::SERVICE.baud);
     let opened = opened.map_err(|error| anyhow::anyhow!(not_opened(port, &error)))?;
     // Discard bytes received earlier: they respond to another program.
     let _ = opened.discard_input_buffer();
-    Ok(rtu::attach_slave(WithoutStrays::new(opened), Slave(BusConfig::SERVICE.unit)))
+    Ok(WithoutStrays::new(opened))
 }
 
 async fn connect_to_gateway(GatewayAddress { host, unit }: &GatewayAddress) -> Result<Context> {

@@ -5,7 +5,8 @@ use bus_canopen::{Abort, DataType, Dictionary, Entry, Pdo, Source, entries, find
 use crate::can::BusReport;
 use crate::plc::side::BoardId;
 use crate::plc::{REPORTS, SETTINGS, Settings, View};
-use crate::register::{BusCounts, RegisterError, SaveState, StoreCommand};
+use crate::register::{BusCounts, RegisterError, SaveState, StoreCommand, UpdateCommand, UpdateRefusal};
+use crate::update::Master;
 
 /// A value of the bridge in the dictionary: bus state, setting or report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +30,10 @@ enum Value {
     LinkBroken,
     /// A store command, which is written as a signature.
     Store(StoreCommand),
+    /// The image of an update.
+    Image,
+    /// Program control of an update.
+    Program,
     /// Index of a setting.
     Setting(u16),
     /// Index of a report.
@@ -58,8 +63,8 @@ const REVISION: u32 = 1 << 16;
 pub(super) const COUNT: &str = "Number of entries";
 
 /// Objects 1000h to 2002h. The subsequent settings and reports have tables of their own.
-pub const OBJECTS: [Object; 85] = {
-    use DataType::{I16, Text, U8, U16, U32};
+pub const OBJECTS: [Object; 89] = {
+    use DataType::{Domain, I16, Text, U8, U16, U32};
     use Pdo::{Receive, Transmit};
     use Source as S;
     use Value as V;
@@ -77,6 +82,8 @@ pub const OBJECTS: [Object; 85] = {
     const BUS: &str = "CAN";
     const STORE: &str = "Store parameters";
     const RESTORE: &str = "Restore default parameters";
+    const DATA: &str = "Program data";
+    const CONTROL: &str = "Program control";
     /// Field of RPDO1 at this byte offset.
     const fn received(at: u8) -> Source<Key> {
         Source::Rpdo { number: 0, at }
@@ -191,6 +198,10 @@ pub const OBJECTS: [Object; 85] = {
         rw(0x1A01, 0, U8, S::Mapped(Transmit(1), 2), TPDO2_MAP, COUNT),
         rw(0x1A01, 1, U32, map(INPUT_INDEX, 4, I16), TPDO2_MAP, "WIDTH"),
         rw(0x1A01, 2, U32, map(INPUT_INDEX, 5, I16), TPDO2_MAP, "Gripping Force"),
+        ro(0x1F50, 0, U8, S::Fixed(1), DATA, COUNT),
+        rw(0x1F50, 1, Domain, own(V::Image), DATA, "Image and signature for an update"),
+        ro(0x1F51, 0, U8, S::Fixed(1), CONTROL, COUNT),
+        rw(0x1F51, 1, U8, own(V::Program), CONTROL, "Write 0 or 3: none; 1: restart with the image"),
         ro(OUTPUT_INDEX, 0, U8, S::Fixed(5), OUTPUT, COUNT),
         field(OUTPUT_INDEX, 1, U8, received(0), "CMDFLAGS"),
         field(OUTPUT_INDEX, 2, U8, received(1), "IF"),
@@ -269,8 +280,8 @@ impl Dictionary for Objects<'_, '_> {
                 self.view.report(number, BusCounts::default()).map(u32::from).map_err(abort_of)
             }
             Value::SerialNumber => Ok(self.board.serial),
-            // Bit 0: saves on command, not autonomously.
-            Value::Store(_) => Ok(1),
+            // Bit 0: saves on command, not autonomously. The program runs.
+            Value::Store(_) | Value::Program => Ok(1),
             _ => Ok(bus_value(self.report, value)),
         }
     }
@@ -290,14 +301,36 @@ impl Dictionary for Objects<'_, '_> {
             // CiA 301 requires this abort for a wrong signature.
             Value::Store(command) if number != signature(command) => Err(Abort::Store),
             Value::Store(command) => self.view.command_store(command).map_err(abort_of),
+            Value::Program => match number {
+                // The program runs during the transfer, which erases slot B itself.
+                STOP_PROGRAM | CLEAR_PROGRAM => Ok(()),
+                START_PROGRAM => {
+                    self.view.command_update(Master::Bus, UpdateCommand::Restart).map_err(abort_of_update)
+                }
+                _ => Err(Abort::Value),
+            },
             _ => Err(Abort::ReadOnly),
         }
+    }
+
+    fn begin_domain(&mut self, _: Key, _: Option<u32>) -> Result<(), Abort> {
+        self.view.write_image(Master::Bus, 0, &[]).map_err(abort_of_update)
+    }
+
+    fn write_domain(&mut self, _: Key, bytes: &[u8], is_last: bool) -> Result<(), Abort> {
+        let at = self.view.facts.update.next();
+        self.view.write_image(Master::Bus, at, bytes).map_err(abort_of_update)?;
+        if !is_last {
+            return Ok(());
+        }
+        self.view.command_update(Master::Bus, UpdateCommand::Check).map_err(abort_of_update)
     }
 
     fn outcome(&self, Key(value): Key) -> Option<Result<(), Abort>> {
         match (value, self.view.save_state()) {
             (Value::Store(_), SaveState::Saving) => None,
             (Value::Store(_), SaveState::Failed) => Some(Err(Abort::Hardware)),
+            (Value::Image, _) => self.view.facts.update.outcome().map(|done| done.map_err(abort_of_update)),
             _ => Some(Ok(())),
         }
     }
@@ -330,9 +363,26 @@ const fn abort_of(error: RegisterError) -> Abort {
     match error {
         RegisterError::Missing => Abort::NoSubindex,
         RegisterError::Value => Abort::Value,
-        RegisterError::Moving | RegisterError::Saving => Abort::DeviceState,
+        RegisterError::Moving | RegisterError::Saving | RegisterError::Updating => Abort::DeviceState,
     }
 }
+
+/// Returns the abort code for a refusal of an update. The report UPDATE_REFUSAL has the reason.
+const fn abort_of_update(why: UpdateRefusal) -> Abort {
+    use UpdateRefusal as Why;
+    match why {
+        Why::Moving | Why::Saving | Why::OtherMaster | Why::Busy | Why::NothingReceived => Abort::DeviceState,
+        Why::NoBootLoader => Abort::LocalControl,
+        Why::TooLong => Abort::Length,
+        Why::Flash => Abort::Hardware,
+        _ => Abort::Store,
+    }
+}
+
+/// Values of program control (CiA 302-3, 1F51h).
+const STOP_PROGRAM: u32 = 0;
+const START_PROGRAM: u32 = 1;
+const CLEAR_PROGRAM: u32 = 3;
 
 /// Returns the value of an object about the bus.
 fn bus_value(report: &BusReport, value: Value) -> u32 {

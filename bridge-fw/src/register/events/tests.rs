@@ -26,7 +26,7 @@ fn events_are_read_latest_first_with_their_age() {
     events.happened(EventCode::GripperSilent, 0);
     events.grow_old(at(3_600));
     let incident = Incident { cause: Cause::Gripper, command: Some(CommandId::GripPart), value: 14 };
-    events.note(incident, false);
+    events.note(incident, EventCode::BusFlag);
     events.grow_old(at(5_999));
     assert_eq!(registers(&events, 0), [EventCode::Refused as u16, 0x25, 14, 2]);
     assert_eq!(registers(&events, 1), [EventCode::GripperSilent as u16, 0, 0, 3]);
@@ -53,11 +53,11 @@ fn last_fast_stop_is_kept_despite_later_events() {
     let mut events = Events::new();
     assert_eq!(events.cause_of_error(true), 0);
     let flag = Incident { cause: Cause::Flag, command: None, value: 0 };
-    events.note(flag, true);
+    events.note(flag, EventCode::Wire);
     assert_eq!(events.fast_stop_register(0), EventCode::Wire as u16);
-    events.note(flag, false);
+    events.note(flag, EventCode::BusFlag);
     for _ in 0..20 {
-        events.note(Incident { cause: Cause::FastStopLasts, command: None, value: 0 }, true);
+        events.note(Incident { cause: Cause::FastStopLasts, command: None, value: 0 }, EventCode::Wire);
     }
     assert_eq!(events.fast_stop_register(0), EventCode::BusFlag as u16);
     assert_eq!(events.cause_of_error(true), EventCode::BusFlag as u8);

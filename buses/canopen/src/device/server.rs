@@ -3,7 +3,7 @@
 use super::pdo::Setup;
 use super::{Device, ErrorBehaviour, Event, NmtState};
 use crate::object::NO_REMOTE;
-use crate::sdo::{self, Request, Upload};
+use crate::sdo::{self, Download, Request, Upload};
 use crate::{Abort, DataType, Dictionary, Entry, Pdo, Source};
 
 /// COB-ID of a PDO, bit 31: the PDO is disabled.
@@ -17,8 +17,16 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         request: &[u8; 8],
         dictionary: &mut D,
     ) -> bool {
-        let (index, sub, request) = sdo::parse(request);
+        let (mut index, mut sub, request) = sdo::parse(request);
         let upload = self.upload.take();
+        let download = self.download.take();
+        if let (Request::Data(data), Some(going), Some((.., toggle))) = (request, download, self.writing)
+            && toggle == Some(data.toggle)
+        {
+            // The client repeats a segment that is being written.
+            self.download = Some(going);
+            return false;
+        }
         // A new request replaces a write in progress, whose response is dropped.
         self.writing = None;
         let outcome = match request {
@@ -35,9 +43,17 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
                 self.response = Some(response);
                 false
             }),
+            Request::Begin(size) => self.begin_download(index, sub, size, dictionary),
+            Request::Data(data) => match download {
+                Some(download) => {
+                    (index, sub) = (download.index, download.sub);
+                    self.take_segment(download, &data, dictionary)
+                }
+                None => Err(Abort::CommandSpecifier),
+            },
             Request::Write(len, value) => {
                 self.write(now_ms, index, sub, len, value, dictionary).inspect(|_| {
-                    self.writing = Some((index, sub));
+                    self.writing = Some((index, sub, None));
                     self.confirm(dictionary);
                 })
             }
@@ -50,7 +66,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
 
     /// Responds to a write in progress as soon as it has ended.
     pub(super) fn confirm<D: Dictionary>(&mut self, dictionary: &D) {
-        let Some((index, sub)) = self.writing else { return };
+        let Some((index, sub, toggle)) = self.writing else { return };
         let outcome = match dictionary.find(index, sub) {
             Ok(Entry { source: Source::Application(key), .. }) => dictionary.outcome(key),
             _ => Some(Ok(())),
@@ -58,9 +74,53 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         let Some(outcome) = outcome else { return };
         self.writing = None;
         self.response = Some(match outcome {
-            Ok(()) => sdo::write_response(index, sub),
-            Err(abort) => sdo::abort_response(index, sub, abort),
+            Ok(()) => toggle.map_or_else(|| sdo::write_response(index, sub), sdo::segment_response),
+            Err(abort) => {
+                self.download = None;
+                sdo::abort_response(index, sub, abort)
+            }
         });
+    }
+
+    /// Starts a segmented download.
+    fn begin_download<D: Dictionary>(
+        &mut self,
+        index: u16,
+        sub: u8,
+        size: Option<u32>,
+        dictionary: &mut D,
+    ) -> Result<bool, Abort> {
+        let entry = dictionary.find(index, sub)?;
+        let Entry { kind: DataType::Domain, writable: true, source: Source::Application(key), .. } = entry
+        else {
+            return Err(if entry.writable { Abort::CommandSpecifier } else { Abort::ReadOnly });
+        };
+        dictionary.begin_domain(key, size)?;
+        self.download = Some(Download { index, sub, toggle: false });
+        self.writing = Some((index, sub, None));
+        self.confirm(dictionary);
+        Ok(false)
+    }
+
+    /// Passes a segment to the application. Returns whether it ends the download.
+    fn take_segment<D: Dictionary>(
+        &mut self,
+        download: Download,
+        data: &sdo::Data,
+        dictionary: &mut D,
+    ) -> Result<bool, Abort> {
+        let Download { index, sub, toggle } = download;
+        if data.toggle != toggle {
+            return Err(Abort::Toggle);
+        }
+        let Entry { source: Source::Application(key), .. } = dictionary.find(index, sub)? else {
+            return Err(Abort::NoObject);
+        };
+        dictionary.write_domain(key, data.bytes(), data.is_last)?;
+        self.download = (!data.is_last).then_some(Download { toggle: !toggle, ..download });
+        self.writing = Some((index, sub, Some(toggle)));
+        self.confirm(dictionary);
+        Ok(data.is_last)
     }
 
     /// Sends the next segment of a text.
@@ -76,6 +136,9 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
 
     fn begin_read<D: Dictionary>(&mut self, index: u16, sub: u8, dictionary: &D) -> Result<[u8; 8], Abort> {
         let entry = dictionary.find(index, sub)?;
+        if entry.kind == DataType::Domain {
+            return Err(Abort::WriteOnly);
+        }
         if let Entry { kind: DataType::Text, source: Source::Application(key), .. } = entry {
             let (upload, response) = Upload::begin(index, sub, dictionary.text(key)?);
             self.upload = Some(upload);

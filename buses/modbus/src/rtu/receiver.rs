@@ -351,6 +351,7 @@ fn least_len(held: &[u8]) -> usize {
         None | Some(Function::ReportServerId) => 2 + CRC_LEN,
         Some(Function::WriteMultipleCoils | Function::WriteMultipleRegisters) => counted(7, 6),
         Some(Function::ReadWriteMultipleRegisters) => counted(11, 10),
+        Some(Function::WriteFileRecord) => counted(3, 2),
         Some(Function::MaskWriteRegister) => 8 + CRC_LEN,
         Some(Function::EncapsulatedInterfaceTransport) => 5 + CRC_LEN,
         Some(_) => 6 + CRC_LEN,

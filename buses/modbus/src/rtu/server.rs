@@ -30,7 +30,7 @@ pub struct Config {
 pub enum Event<'a> {
     /// Response frame to send, including the checksum.
     Answer(&'a [u8]),
-    /// A request for this unit or a broadcast was served and has no response.
+    /// A request for this unit or a broadcast was served and has no response, or not yet.
     Served,
     /// A frame for another unit, or one that this unit ignores.
     Passed,
@@ -76,8 +76,8 @@ pub struct Server {
 /// Excludes counters and last response, which do not affect future behaviour.
 impl Hash for Server {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        let Self { config, receiver, line: Line { counters: _, listen_only }, response: _ } = self;
-        (config, receiver, listen_only).hash(state);
+        let Self { config, receiver, line: Line { counters: _, listen_only, deferred }, response: _ } = self;
+        (config, receiver, listen_only, deferred).hash(state);
     }
 }
 
@@ -86,6 +86,8 @@ impl Hash for Server {
 struct Line {
     counters: Counters,
     listen_only: bool,
+    /// Length of a response PDU that waits for the device; 0 without one.
+    deferred: usize,
 }
 
 impl Server {
@@ -95,7 +97,7 @@ impl Server {
         Self {
             config,
             receiver: Receiver::new(config.unit, config.mode, timing),
-            line: Line { counters: Counters::ZERO, listen_only: false },
+            line: Line { counters: Counters::ZERO, listen_only: false, deferred: 0 },
             response: [0; MAX_FRAME_LEN],
         }
     }
@@ -118,10 +120,10 @@ impl Server {
         self.line.listen_only
     }
 
-    /// Returns whether no frame is in progress, so that [`silence`](Self::silence) returns nothing.
+    /// Returns whether no frame is in progress and no response is deferred, so that [`silence`](Self::silence) returns nothing.
     #[must_use]
     pub const fn is_idle(&self) -> bool {
-        self.receiver.is_idle()
+        self.receiver.is_idle() && self.line.deferred == 0
     }
 
     /// Processes a character and the silence before it in microseconds; see [`Receiver`].
@@ -136,11 +138,16 @@ impl Server {
         Some(line.handle(*config, received, device, response))
     }
 
-    /// Processes a silence in microseconds that is still going on; see [`Receiver`].
+    /// Processes a silence in microseconds that is still going on; see [`Receiver`]. Also returns a response that the device has
+    /// deferred ([`Device::outcome`]) as soon as it is due.
     pub fn silence<D: Device + ?Sized>(&mut self, silence_us: u32, device: &mut D) -> Option<Event<'_>> {
         let Self { config, receiver, line, response } = self;
-        let received = receiver.silence(silence_us)?;
-        Some(line.handle(*config, received, device, response))
+        if let Some(received) = receiver.silence(silence_us) {
+            return Some(line.handle(*config, received, device, response));
+        }
+        // While the next frame is received, a response would collide with it.
+        receiver.is_idle().then_some(())?;
+        line.confirm(device, response)
     }
 }
 
@@ -152,6 +159,8 @@ impl Line {
         device: &mut D,
         response: &'r mut [u8; MAX_FRAME_LEN],
     ) -> Event<'r> {
+        // The client no longer waits for it.
+        self.deferred = 0;
         let (unit, pdu) = match received {
             Received::Frame { unit, pdu } => (unit, pdu),
             Received::FrameAmongStrays { unit, pdu, strays } => {
@@ -186,12 +195,34 @@ impl Line {
         };
         if let Some(exception) = exception {
             self.counters.excepted(exception);
+        } else if function == Some(Function::WriteFileRecord) {
+            self.deferred = len;
+            return self.confirm(device, response).unwrap_or(Event::Served);
         }
         if broadcast || len == 0 {
             count(&mut self.counters.no_responses);
             return Event::Served;
         }
         Event::Answer(seal(response, len))
+    }
+
+    /// Returns the deferred response as soon as the device has an outcome.
+    fn confirm<'r, D: Device + ?Sized>(
+        &mut self,
+        device: &D,
+        response: &'r mut [u8; MAX_FRAME_LEN],
+    ) -> Option<Event<'r>> {
+        if self.deferred == 0 {
+            return None;
+        }
+        let outcome = device.outcome()?;
+        let mut len = core::mem::take(&mut self.deferred);
+        if let Err(exception) = outcome {
+            self.counters.excepted(exception);
+            let [_, code, reason, ..] = response;
+            (*code, *reason, len) = (*code | 0x80, exception.code(), 2);
+        }
+        Some(Event::Answer(seal(response, len)))
     }
 
     /// Serves FC 8, Diagnostics. Returns the length of the response, 0 for none, and the exception, if any.

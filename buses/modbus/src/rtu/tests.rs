@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::tests::Plant;
-use crate::{Function, MAX_PDU_LEN};
+use crate::{Exception, Function, MAX_PDU_LEN};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::vec;
 use std::vec::Vec;
@@ -83,6 +83,9 @@ impl Bus {
 }
 
 const READ: [u8; 5] = [3, 0, 0, 0, 4];
+
+/// Write File Record: record 8 of file 1.
+const FILE_RECORD: [u8; 11] = [21, 9, 6, 0, 1, 0, 8, 0, 1, 0xAB, 0xCD];
 
 fn is_read_answer(answer: &[u8]) -> bool {
     answer == frame(UNIT, &[3, 8, 0, 0, 0, 0, 0, 0, 0, 0])
@@ -300,13 +303,14 @@ impl Bus {
 
 /// Requests of every kind of length, with their responses: fixed, counted, unknown function, exception, and one whose
 /// checksum ends with 00h.
-fn requests() -> [(Vec<u8>, Vec<u8>); 7] {
+fn requests() -> [(Vec<u8>, Vec<u8>); 8] {
     let ending_with_00h = (0..=u8::MAX).find(|low| frame(UNIT, &[6, 0, 1, 0, *low]).ends_with(&[0])).unwrap();
     [
         READ.to_vec(),
         vec![6, 0, 1, 0, ending_with_00h],
         vec![15, 0, 0, 0, 3, 1, 5],
         vec![16, 0, 1, 0, 2, 4, 0, 1, 0, 0],
+        FILE_RECORD.to_vec(),
         vec![23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 9],
         vec![0x41],
         vec![3, 0, 9, 0, 1],
@@ -487,6 +491,41 @@ fn broadcast_writes_are_executed_without_a_response() {
     assert_eq!(bus.others, ["served", "passed", "passed", "passed", "passed", "passed", "passed"]);
     assert!(bus.plant.tables.take_written().is_none() && bus.answers.is_empty());
     assert!(!bus.server.is_listen_only());
+}
+
+#[test]
+fn response_to_file_records_follows_their_outcome() {
+    for (outcome, response) in [(Ok(()), &FILE_RECORD[..]), (Err(Exception::ServerDeviceFailure), &[0x95, 4])]
+    {
+        let mut bus = Bus::new(TOLERANT);
+        bus.plant.outcome = None;
+        assert_eq!(bus.ask(UNIT, &FILE_RECORD), [], "it is in progress");
+        assert!(!bus.server.is_idle());
+        bus.silence(TIMING.t3_5_us);
+        bus.plant.outcome = Some(outcome);
+        bus.send_after(1_000_000, &[UNIT + 1, 3]);
+        bus.silence(0);
+        assert_eq!((bus.answers.len(), &bus.others[..]), (0, &["served"][..]), "a request is being received");
+        bus.silence(CHARACTER_TIMEOUT_US);
+        bus.silence(CHARACTER_TIMEOUT_US);
+        assert_eq!(bus.answers.len(), 0, "the client no longer waits after the end of a damaged frame");
+
+        bus.plant.outcome = None;
+        assert_eq!(bus.ask(UNIT, &FILE_RECORD), []);
+        bus.plant.outcome = Some(outcome);
+        bus.silence(TIMING.t3_5_us);
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!(bus.answers, [frame(UNIT, response)], "once");
+        let exceptions = bus.server.counters().exceptions;
+        assert_eq!((exceptions, bus.server.is_idle()), (u16::from(outcome.is_err()), true));
+    }
+    let mut bus = Bus::new(STRICT);
+    bus.plant.outcome = None;
+    bus.ask(UNIT, &FILE_RECORD);
+    bus.ask(UNIT + 1, &READ);
+    bus.plant.outcome = Some(Ok(()));
+    bus.silence(TIMING.t3_5_us);
+    assert_eq!(bus.answers.len(), 0, "the client has spoken to another unit");
 }
 
 #[test]

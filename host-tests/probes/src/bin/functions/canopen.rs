@@ -24,6 +24,15 @@ impl Dictionary for Objects {
         black_box(Ok(()))
     }
 
+    fn begin_domain(&mut self, _: u16, _: Option<u32>) -> Result<(), Abort> {
+        black_box(Ok(()))
+    }
+
+    fn write_domain(&mut self, _: u16, bytes: &[u8], is_last: bool) -> Result<(), Abort> {
+        black_box((bytes, is_last));
+        black_box(Ok(()))
+    }
+
     fn outcome(&self, _: u16) -> Option<Result<(), Abort>> {
         black_box(None)
     }

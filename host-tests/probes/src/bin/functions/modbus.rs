@@ -1,6 +1,6 @@
 //! The MODBUS server, on a serial line, on TCP and without a line, and the register images as its tables.
 
-use bus_modbus::{Bits, Exception, Function, MAX_PDU_LEN, Words, rtu, serve, tcp};
+use bus_modbus::{Bits, Exception, FileRecords, Function, MAX_PDU_LEN, Words, rtu, serve, tcp};
 use wsg_fieldbus::{Content, Images};
 use wsg_probes::gripper::Gripper;
 
@@ -16,7 +16,8 @@ pub(crate) fn every_function() {
     function!(tcp::Request::answer, for<'a> fn(&tcp::Request<'static>, &'a mut Frame, Serve) -> &'a [u8]);
     functions! {
         Bits<'_>: new, iter, len, is_empty;
-        Words<'_>: new, iter, len, is_empty;
+        Words<'_>: new, iter, len, is_empty, as_bytes;
+        FileRecords<'_>: iter;
         Exception: code;
         Function: code, from_code, may_be_broadcast;
         Content: is_number;
