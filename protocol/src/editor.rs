@@ -6,6 +6,7 @@
 use core::fmt::{Display, Formatter};
 
 use crate::command::CommandId;
+use crate::decimal;
 
 /// A text that the language does not accept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,11 +145,24 @@ fn byte(text: &str) -> Option<Result<u8, ()>> {
     is_hex.then(|| u8::from_str_radix(digits, radix).map_err(drop))
 }
 
+/// Parses a decimal number, perhaps with an exponent, to the nearest `f32`; infinity if it is too large. Unlike [`str::parse`], it
+/// needs no tables of 10 KB, and does not accept `inf` and `nan`.
+///
+/// ```
+/// use wsg_protocol::editor;
+///
+/// assert_eq!(["-1.5e1", "40 N"].map(editor::number), [Some(-15.0), None]);
+/// ```
+#[must_use]
+pub fn number(text: &str) -> Option<f32> {
+    decimal::read(text.as_bytes())
+}
+
 fn float(word: &str) -> Result<f32, EditorError<'_>> {
     let digits =
         word.strip_suffix(['f', 'F']).filter(|digits| digits.bytes().any(|byte| byte.is_ascii_digit()));
     let digits = digits.ok_or(EditorError::Value(word))?;
-    let number = digits.parse::<f32>().map_err(|_| EditorError::Value(word))?;
+    let number = number(digits).ok_or(EditorError::Value(word))?;
     if number.is_finite() { Ok(number) } else { Err(EditorError::Float(word)) }
 }
 

@@ -37,7 +37,6 @@
 //! ```
 
 mod answer;
-mod decimal;
 mod form;
 mod line;
 mod name;

@@ -63,6 +63,8 @@ extern crate std;
 pub mod can;
 pub mod checksum;
 pub mod command;
+#[cfg(any(feature = "editor", feature = "gcl"))]
+mod decimal;
 #[cfg(any(feature = "embedded-io", feature = "embedded-io-async"))]
 pub mod driver;
 #[cfg(feature = "editor")]

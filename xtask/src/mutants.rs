@@ -45,10 +45,10 @@ const PARTS: [Part; 7] = [
         packages: "wsg-protocol",
         folder: "protocol/",
         // The tests that need the servers of the virtual gripper are with it, where a baseline would not find them.
-        options: "--exclude-re ^protocol/src/gcl/decimal --exclude-re ^protocol/src/session \
+        options: "--exclude-re ^protocol/src/decimal --exclude-re ^protocol/src/session \
             --test-package wsg-protocol,wsg-sim --baseline skip",
         // Cargo stops at the first test that fails, so the last two, which wait for sockets, run for few mutants.
-        tests: "--lib --test=drivers --test=gcl --test=hashes --test=host --test=stream -- --skip gcl::decimal",
+        tests: "--lib --test=drivers --test=gcl --test=hashes --test=host --test=stream -- --skip decimal::tests",
     },
     // The session's tests are all in the crate itself, so no other crate needs to be linked. Includes the tests of the GCL session,
     // which uses the same engine.
@@ -57,14 +57,14 @@ const PARTS: [Part; 7] = [
         packages: "wsg-protocol",
         folder: "protocol/",
         options: "--re ^protocol/src/session",
-        tests: "--lib --test=hashes -- --skip gcl::decimal",
+        tests: "--lib --test=hashes -- --skip decimal::tests",
     },
     // The parser of decimal fractions: its tests take as long as all others and detect nothing elsewhere.
     Part {
         name: "decimal",
         packages: "wsg-protocol",
         folder: "protocol/",
-        options: "--re ^protocol/src/gcl/decimal",
+        options: "--re ^protocol/src/decimal",
         tests: "--lib --test=gcl",
     },
     // Code specific to the feature. A mutant caught in either run counts as caught.

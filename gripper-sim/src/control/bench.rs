@@ -21,7 +21,6 @@ use crate::journal::{Cause, JournalEvent};
 use crate::port::{PortCounters, PortId, PortKind, Protocol};
 use crate::time::{Time, earlier};
 use editor::Editor;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Command, Status, SystemFlags};
@@ -50,7 +49,7 @@ pub(crate) struct Bench {
     pub(crate) is_off: bool,
     pub(crate) script: LatestScript,
     /// The clients in order of connection.
-    clients: BTreeMap<u64, Connected>,
+    clients: Vec<Connected>,
     connections: u64,
     log: Option<Log>,
     system_log: SystemLog,
@@ -71,6 +70,8 @@ pub(crate) struct Bench {
 
 #[derive(Debug)]
 struct Connected {
+    /// Its number in the order of connection.
+    number: u64,
     id: PortId,
     kind: PortKind,
     /// Kind of line and peer, as shown in the log.
@@ -126,7 +127,7 @@ impl Bench {
             run,
             is_off: false,
             script: LatestScript::default(),
-            clients: BTreeMap::new(),
+            clients: Vec::new(),
             connections: 0,
             log,
             system_log,
@@ -172,7 +173,7 @@ impl Bench {
         if let Some(log) = &mut self.log {
             log.connect(id, kind, Arc::clone(&name), self.gripper.config());
         }
-        self.clients.insert(number, Connected { id, kind, name: Arc::clone(&name), received_at: now });
+        self.clients.push(Connected { number, id, kind, name: Arc::clone(&name), received_at: now });
         self.report_event(now, Severity::Info, &name, "connected");
         let has_latency = matches!(kind.protocol(), Protocol::Binary | Protocol::Text);
         let latency = if has_latency { self.latency } else { Latency::NONE };
@@ -182,9 +183,9 @@ impl Bench {
     /// Disconnects the Modbus/TCP client that has been idle longest to free its place. Clients of other protocols stay,
     /// because the end of their connection may cause a FAST STOP.
     fn displace(&mut self, now: Time) -> Option<()> {
-        let masters = self.clients.iter().filter(|(_, client)| client.kind == PortKind::ModbusTcp);
-        let (number, idle_longest) = masters.min_by_key(|(_, client)| client.received_at)?;
-        let (number, name) = (*number, Arc::clone(&idle_longest.name));
+        let masters = self.clients.iter().filter(|client| client.kind == PortKind::ModbusTcp);
+        let idle_longest = masters.min_by_key(|client| client.received_at)?;
+        let (number, name) = (idle_longest.number, Arc::clone(&idle_longest.name));
         self.note_of(now, &name, format_args!("gives way to another client: idle longest"));
         self.disconnect(number, now);
         Some(())
@@ -192,14 +193,14 @@ impl Bench {
 
     /// Disconnects a client; does nothing if it is already disconnected.
     pub(crate) fn disconnect(&mut self, number: u64, now: Time) {
-        let Some(client) = self.clients.get(&number) else { return };
+        let Some(client) = self.clients.iter().find(|client| client.number == number) else { return };
         let (id, name) = (client.id, Arc::clone(&client.name));
         let is_missed = self.gripper.is_missed(id);
         self.act(now, |gripper, now| gripper.disconnect(id, now));
         if let Some(log) = &mut self.log {
             log.disconnect(id);
         }
-        self.clients.remove(&number);
+        self.clients.retain(|client| client.number != number);
         if !self.is_off {
             let (severity, how) = if is_missed {
                 (Severity::Warning, "the connection ended without a Disconnect Announcement")
@@ -211,19 +212,19 @@ impl Bench {
     }
 
     pub(crate) fn is_connected(&self, number: u64) -> bool {
-        self.clients.contains_key(&number)
+        self.clients.iter().any(|client| client.number == number)
     }
 
     /// Notes that a client has sent something.
     pub(crate) fn note_received(&mut self, number: u64, now: Time) {
-        if let Some(client) = self.clients.get_mut(&number) {
+        if let Some(client) = self.clients.iter_mut().find(|client| client.number == number) {
             client.received_at = now;
         }
     }
 
     /// Returns this client and its interface, or, after its end, the first client of the binary protocol and its interface.
     pub(crate) fn script_client(&self, id: Option<PortId>) -> Option<(PortId, String)> {
-        let mut clients = self.clients.values();
+        let mut clients = self.clients.iter();
         let client = clients.clone().find(|client| Some(client.id) == id);
         let client = client.or_else(|| clients.find(|client| client.kind.is_binary()));
         client.map(|client| (client.id, client.kind.to_string()))
@@ -265,7 +266,7 @@ impl Bench {
         let counters = |client: &Connected| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
         let exchange = gripper.exchange();
         let is_master = |client: &&Connected| Some(client.id) == exchange.master;
-        let master = clients.values().find(is_master).map(|client| Arc::clone(&client.name));
+        let master = clients.iter().find(is_master).map(|client| Arc::clone(&client.name));
         Report {
             now,
             state,
@@ -277,7 +278,7 @@ impl Bench {
             faults: faults.clone(),
             line_faults: *line_faults,
             line_counts: *line_counts,
-            clients: clients.values().filter_map(counters).collect(),
+            clients: clients.iter().filter_map(counters).collect(),
         }
     }
 
@@ -413,7 +414,7 @@ impl Bench {
     /// Writes a change of the system state to the system log.
     fn report_change(&self, event: &JournalEvent, operator: &str) {
         let name = |id: PortId| {
-            let client = self.clients.values().find(|client| client.id == id);
+            let client = self.clients.iter().find(|client| client.id == id);
             client.map_or_else(|| "a client that has left".to_owned(), |client| client.name.to_string())
         };
         let (source, reason) = match event.cause {

@@ -7,7 +7,6 @@ use crate::text::one_line;
 use crate::time::Time;
 use bus_modbus::Function;
 use bus_modbus::tcp::{self, HEADER_LEN, MAX_FRAME_LEN, Receiver};
-use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::sync::Arc;
 use wsg_protocol::frame::PREAMBLE_LEN;
@@ -33,11 +32,12 @@ pub(crate) type Sink = Box<dyn FnMut(String) + Send>;
 /// the received bytes.
 pub struct Log {
     output: Output,
-    clients: HashMap<PortId, LoggedClient>,
+    clients: Vec<LoggedClient>,
 }
 
 /// A client whose requests are logged. The log decodes its frames a second time.
 struct LoggedClient {
+    id: PortId,
     name: Arc<str>,
     kind: PortKind,
     requests: Requests,
@@ -105,7 +105,7 @@ const MAX_WATCHED: usize = 200;
 impl Log {
     /// Creates a log that writes its lines there, or that only pages show.
     pub(crate) fn new(writer: Option<Sink>) -> Self {
-        Self { output: Output { writer, watched: None }, clients: HashMap::new() }
+        Self { output: Output { writer, watched: None }, clients: Vec::new() }
     }
 
     /// Starts or stops keeping lines for pages.
@@ -125,12 +125,12 @@ impl Log {
             Protocol::Modbus => Requests::Registers(Box::default()),
             Protocol::Profibus | Protocol::Images => Requests::Telegrams,
         };
-        self.clients.insert(id, LoggedClient { name, kind, requests });
+        self.clients.push(LoggedClient { id, name, kind, requests });
     }
 
     /// Decodes requests as a gripper with these settings does.
     pub(crate) fn reconfigure(&mut self, config: &Config) {
-        for client in self.clients.values_mut() {
+        for client in &mut self.clients {
             if let Requests::Frames(frames) = &mut client.requests
                 && frames.is_unchecked == config.check_checksum
             {
@@ -140,13 +140,13 @@ impl Log {
     }
 
     pub(crate) fn disconnect(&mut self, id: PortId) {
-        self.clients.remove(&id);
+        self.clients.retain(|client| client.id != id);
     }
 
     pub(crate) fn received(&mut self, id: PortId, now: Time, bytes: &[u8]) {
         self.expire(now);
         let Self { output, clients } = self;
-        let Some(client) = clients.get_mut(&id) else { return };
+        let Some(client) = clients.iter_mut().find(|client| client.id == id) else { return };
         match &mut client.requests {
             Requests::Frames(frames) => {
                 let Frames { deframer, last, is_unchecked } = &mut **frames;
@@ -198,7 +198,7 @@ impl Log {
     /// Expires incomplete frames as the gripper does.
     pub(crate) fn expire(&mut self, now: Time) {
         let Self { output, clients } = self;
-        for client in clients.values_mut() {
+        for client in clients {
             let Requests::Frames(frames) = &mut client.requests else { continue };
             let checksum = if frames.is_unchecked { Checksum::Unknown } else { Checksum::Right };
             while let Some(event) = frames.deframer.expire(now) {
@@ -212,7 +212,7 @@ impl Log {
         if !self.output.is_wanted() {
             return;
         }
-        let requests = self.clients.get(&id).map(|client| &client.requests);
+        let requests = self.clients.iter().find(|client| client.id == id).map(|client| &client.requests);
         let (output, direction) = (&mut self.output, Direction::FromGripper);
         match requests {
             Some(Requests::Lines(_)) => output.line(now, direction, line, bytes),

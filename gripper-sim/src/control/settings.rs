@@ -62,7 +62,7 @@ impl SettingState {
 pub(crate) type Given = BTreeMap<String, Vec<String>>;
 
 /// Changed settings: new words, none for a switch that is on, `None` for the default.
-pub(crate) type Changes = BTreeMap<String, Option<Vec<String>>>;
+pub(crate) type Changes = Vec<(String, Option<Vec<String>>)>;
 
 /// Why settings cannot change.
 #[derive(Debug)]
@@ -86,7 +86,8 @@ pub(crate) fn changed_settings<'a>(
 ) -> Vec<&'a String> {
     let value = |words: &Vec<String>| if words.is_empty() { "on".to_owned() } else { words.join(", ") };
     let text = |words: Option<&Vec<String>>| words.map_or_else(|| "default".to_owned(), value);
-    let changed: Vec<&String> = changes.keys().filter(|name| before.get(*name) != after.get(*name)).collect();
+    let changed: Vec<&String> =
+        changes.iter().map(|(name, _)| name).filter(|name| before.get(*name) != after.get(*name)).collect();
     for name in &changed {
         let [before, now] = [before, after].map(|given| text(given.get(*name)));
         report(&format!("setting {name}: {before} -> {now}"));

@@ -5,6 +5,7 @@ use crate::config::{Config, Tag};
 use crate::finger::Finger;
 use crate::model::Model;
 use std::str::FromStr;
+use wsg_protocol::editor::number;
 use wsg_protocol::limits::Quantity;
 use wsg_protocol::{SoftLimits, SystemFlags};
 
@@ -84,7 +85,7 @@ pub(crate) fn part(text: &str) -> Option<MaybePart> {
     if text == "none" {
         return Some(None);
     }
-    let mut numbers = text.split(':').map(parsed::<f32>);
+    let mut numbers = text.split(':').map(number);
     let width = numbers.next()??;
     let stiffness = numbers.next().unwrap_or(Some(Part::DEFAULT_STIFFNESS))?;
     let part = Part::new(width, stiffness)?;
@@ -96,17 +97,17 @@ pub(crate) fn part(text: &str) -> Option<MaybePart> {
 }
 
 pub(crate) fn time_scale(text: &str) -> Option<f32> {
-    parsed(text).filter(|scale| (Config::MIN_TIME_SCALE..=Config::MAX_TIME_SCALE).contains(scale))
+    number(text).filter(|scale| (Config::MIN_TIME_SCALE..=Config::MAX_TIME_SCALE).contains(scale))
 }
 
 /// Parses a finite number above 0.
 pub(crate) fn positive(text: &str) -> Option<f32> {
-    parsed(text).filter(|value: &f32| value.is_finite() && *value > 0.0)
+    number(text).filter(|value| value.is_finite() && *value > 0.0)
 }
 
 /// Parses a length in mm.
 pub(crate) fn length(text: &str) -> Option<f32> {
-    parsed(text).filter(|value| (0.0..=1_000.0).contains(value))
+    number(text).filter(|value| (0.0..=1_000.0).contains(value))
 }
 
 /// Parses soft limits in mm.

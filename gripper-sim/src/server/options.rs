@@ -13,7 +13,7 @@ use crate::config::{Config, Tag};
 use crate::control::words::{
     MaybePart, check_limits, length, parsed, part, positive, soft_limits, time_scale,
 };
-use crate::control::{COMMAND, DEVICE, FIELDBUS, Given, MOTION, NETWORK};
+use crate::control::{COMMAND, Changes, DEVICE, FIELDBUS, Given, MOTION, NETWORK};
 use crate::finger::Finger;
 use crate::model::Model;
 use crate::options_file::{self, value_name};
@@ -24,7 +24,6 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Command, CommandFactory, FromArgMatches, Parser};
 use fieldbus_host::ethernetip::EthernetIpLine;
 use fieldbus_host::profinet::ProfinetLine;
-use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::net::{IpAddr, SocketAddr, SocketAddrV4};
 use std::path::PathBuf;
@@ -333,7 +332,7 @@ impl Options {
     ///
     /// # Errors
     /// Returns one line that names the setting and the expected values.
-    pub(in crate::server) fn with(&self, changes: &BTreeMap<String, Option<Vec<String>>>) -> Result<Self> {
+    pub(in crate::server) fn with(&self, changes: &Changes) -> Result<Self> {
         let mut given = self.given.clone();
         for (name, words) in changes {
             match words {

@@ -5,8 +5,9 @@
 //! digits and a point. They are replaced by zeros. Compared with `core::fmt`, `zmij` needs a third of the flash and has no
 //! panic path.
 
+use super::ParseError;
 use super::scanner::Scanner;
-use super::{ParseError, decimal};
+use crate::decimal;
 use core::fmt::{Result as Written, Write};
 
 /// Maximum length of a written number: `-0.`, 37 zeros and 9 digits, rounded up.

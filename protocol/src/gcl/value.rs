@@ -5,7 +5,8 @@ use super::number::{read_float, write_float};
 use super::parameters::{check_index, read_index, write_index};
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
-use super::{CommandName, ParseError, Text, Topic, decimal};
+use super::{CommandName, ParseError, Text, Topic};
+use crate::decimal;
 use crate::types::{DeviceTag, FingerFlags, GripperState, GrippingStatistics, SystemFlags};
 use core::fmt::{Formatter, Result as Written, Write};
 

@@ -393,7 +393,7 @@ fn settings_change_one_by_one_and_return_to_their_defaults() {
         options_of("--tcp 127.0.0.1:0 --no-checksum-check --force 12 --control 8080 --control-host bench");
     let change = |name: &str, words: Option<&[&str]>| {
         let words = words.map(|words| words.iter().map(|&word| word.to_owned()).collect());
-        before.with(&BTreeMap::from([(name.to_owned(), words)]))
+        before.with(&vec![(name.to_owned(), words)])
     };
     let same = change("speed", None).unwrap();
     assert_eq!((same.config, same.lines), (before.config, before.lines.clone()));

@@ -24,7 +24,7 @@ const LOWEST_BIT: u32 = FRACTION_BITS - 149;
 
 /// Returns the nearest `f32`, with ties to even, or infinity if the number is too large. Returns `None` for an invalid number.
 /// Accepts a sign, digits with an optional point, and an exponent.
-pub(super) fn read(text: &[u8]) -> Option<f32> {
+pub(crate) fn read(text: &[u8]) -> Option<f32> {
     let (negative, unsigned) = sign(text);
     let mantissa_len = unsigned.iter().position(|byte| matches!(byte, b'e' | b'E')).unwrap_or(unsigned.len());
     let (mantissa, exponent) = unsigned.split_at_checked(mantissa_len)?;
