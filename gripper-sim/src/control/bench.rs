@@ -403,7 +403,7 @@ impl Bench {
             self.report_change(&event, operator);
         }
         if self.editor.is_connected() {
-            // Without it, what the editor does here comes to no second editor.
+            // Taken out, so that it does not receive the events that it causes here.
             let mut editor = std::mem::take(&mut self.editor);
             editor.receive(self, now);
             self.editor = editor;

@@ -146,10 +146,10 @@ pub const PROBLEMS: &str = r#"(() => {
     for (const { element } of shown) {
         const hasText = element.value || [...element.childNodes].some(child => child.nodeType === 3 && child.data.trim());
         if (!hasText) continue;
-        let behind = element;
-        while (/, 0\)$|transparent/.test(getComputedStyle(behind).backgroundColor)) behind = behind.parentElement;
+        let painted = element;
+        while (/, 0\)$|transparent/.test(getComputedStyle(painted).backgroundColor)) painted = painted.parentElement;
         const style = getComputedStyle(element);
-        const lights = [light(element instanceof SVGElement ? style.fill : style.color), light(getComputedStyle(behind).backgroundColor)].sort();
+        const lights = [light(element instanceof SVGElement ? style.fill : style.color), light(getComputedStyle(painted).backgroundColor)].sort();
         const contrast = (Math.max(...lights) + 0.05) / (Math.min(...lights) + 0.05);
         if (contrast < 4.5) problems.push(name(element) + " has a contrast of " + contrast.toFixed(1));
     }
@@ -176,6 +176,10 @@ enum Input {
 /// What [`Tab::until`] finds instead of its expression if the page of `wsg-sim` shows that the server refused the input for its age,
 /// or did not answer it in time.
 const REFUSED: &str = "refused for age";
+
+/// Longest time of the page's thread for a drawing, in ms: a telephone that is four times as slow as this computer then draws 60 frames
+/// a second.
+pub const MAX_DRAWING_MS: f64 = 4.1;
 
 /// Maximum number of repetitions of an input.
 const REPETITIONS: usize = 30;
@@ -369,6 +373,25 @@ impl Tab {
     pub fn picture(&mut self) -> Vec<u8> {
         let shot = self.call("Page.captureScreenshot", &json!({"format": "png"}));
         from_base64(shot["data"].as_str().expect("a picture"))
+    }
+
+    /// Starts counting how often the page draws moving fingers.
+    pub fn count_drawings(&mut self) {
+        self.call("Performance.enable", &json!({ "timeDomain": "threadTicks" }));
+        self.eval(
+            "window.drawn = 0;
+             new MutationObserver(() => drawn++).observe(document.querySelector('#drawing .finger'), { attributes: true }); 0",
+        );
+    }
+
+    /// Returns the number of drawings, and the time of the page's thread in the processor, in seconds, which does not depend on what
+    /// else a computer does.
+    pub fn drawings(&mut self) -> (f64, f64) {
+        let metrics = self.call("Performance.getMetrics", &json!({}));
+        let mut metrics = metrics["metrics"].as_array().expect("metrics").iter();
+        let time =
+            metrics.find(|metric| metric["name"] == "TaskDuration").and_then(|it| it["value"].as_f64());
+        (self.eval("drawn").as_f64().expect("a number"), time.expect("a time"))
     }
 
     /// Presses and releases the mouse at this place. Returns once the browser has passed both on.
