@@ -1,10 +1,10 @@
-//! Passes the board's memory layout and the log's sections to the linker. Host builds need neither.
+//! The build script of every board: passes its memory layout and the sections of its log to the linker. Host builds need neither.
 
 use std::env;
 use std::path::PathBuf;
 
 fn main() {
-    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=../build.rs");
     let has = |feature| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
     let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     for (feature, folder) in [("BOOT", "boot"), ("SLOT", "slot")] {

@@ -19,7 +19,7 @@ pub struct Records {
     writing: Writing,
 }
 
-/// What the firmware has called for last.
+/// The last request of the firmware.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Goal {
     Nothing,

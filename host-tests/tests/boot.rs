@@ -121,7 +121,7 @@ const OLD: u8 = 1;
 const NEW: u8 = 2;
 
 /// Follows a board after a power cut: with a new image that confirms itself, and with one that does not. Returns the flash after
-/// another cut at a random operation of the first start, if it has so many.
+/// another cut at a random operation of the first start, unless that start has fewer operations.
 fn recover<const PAGE: usize, const UNIT: usize>(
     pages: &FlashPages,
     files: [&[u8]; 2],

@@ -12,16 +12,16 @@
 #![allow(dead_code, reason = "the modules serve the firmware, too")]
 
 mod clock;
+mod faults;
 mod flash;
 mod pins;
 mod registers;
 mod watchdog;
 
-use core::panic::PanicInfo;
 use core::ptr::with_exposed_provenance;
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use rp2040_hal::pac;
 use wsg_boot::{Flash, Stopped};
@@ -191,25 +191,4 @@ impl NorFlash for Slot {
             .try_for_each(|(page, at)| self.sectors.program(at, page))
             .map_err(|_| NorFlashErrorKind::Other)
     }
-}
-
-#[cfg(not(feature = "prove-panic-free"))]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    watchdog::reset()
-}
-
-#[cfg(feature = "prove-panic-free")]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    unsafe extern "C" {
-        safe fn a_panic_can_be_reached() -> !;
-    }
-    a_panic_can_be_reached()
-}
-
-// SAFETY: the handler uses no state of the interrupted program.
-#[exception(trampoline = false)]
-unsafe fn HardFault() -> ! {
-    watchdog::reset()
 }

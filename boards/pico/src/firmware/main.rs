@@ -1,4 +1,4 @@
-//! The bridge on the Raspberry Pi Pico (RP2040): start, main loop and faults.
+//! The bridge on the Raspberry Pi Pico (RP2040): start and main loop.
 //!
 //! This program contains only pins, clocks and interrupts; the library implements the bridge. Register names follow Raspberry
 //! Pi's RP2040 data sheet.
@@ -17,6 +17,7 @@ mod board;
 mod bus;
 mod can;
 mod clock;
+mod faults;
 mod flash;
 mod pins;
 mod registers;
@@ -26,9 +27,7 @@ mod uart;
 mod usb;
 mod watchdog;
 
-use core::panic::PanicInfo;
-
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use rp2040_hal::pac;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::run::without_clock;
@@ -74,33 +73,4 @@ fn main() -> ! {
         flash: FLASH,
     };
     wsg_bridge_fw::run(board, STATION, reset_cause)
-}
-
-/// A reset sets every output low and restarts the bridge from a known state.
-#[cfg(not(feature = "prove-panic-free"))]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    watchdog::reset()
-}
-
-#[cfg(feature = "prove-panic-free")]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    unsafe extern "C" {
-        safe fn a_panic_can_be_reached() -> !;
-    }
-    a_panic_can_be_reached()
-}
-
-// SAFETY: the handler uses no state of the interrupted program.
-#[exception(trampoline = false)]
-unsafe fn HardFault() -> ! {
-    watchdog::reset()
-}
-
-/// An interrupt without a handler is treated like a fault.
-// SAFETY: the handler uses no state of the interrupted program.
-#[exception]
-unsafe fn DefaultHandler(_interrupt: i16) -> ! {
-    watchdog::reset()
 }
