@@ -2,7 +2,7 @@
 //! and starts an image only after its checks. A board's crate has the program: its flash, its watchdog, and the jump. [`Records`] is
 //! the firmware's side.
 //!
-//! The image always runs in slot A. [`start`] continues an interrupted exchange or begins a requested one, and checks slot A.
+//! The image always runs in slot A. [`Flash::start`] continues an interrupted exchange or begins a requested one, and checks slot A.
 //! If the new image does not confirm itself, the next start returns the previous image. If slot A is damaged, an intact image
 //! in slot B replaces it. Without any, the board stays in the boot loader with its outputs low.
 //!
