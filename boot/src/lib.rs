@@ -1,6 +1,6 @@
 //! The boot loader of the bridge (`docs/decisions.md`, "Updates in the field"), independent of boards: exchanges the two slots,
-//! and starts an image only after its checks. A board's crate has the program: its flash, its watchdog, and the jump. [`Records`] is
-//! the firmware's side.
+//! and starts an image only after its checks. A board's crate has the program: its flash, its watchdog, and the jump. [`Updater`]
+//! is the firmware's side.
 //!
 //! The image always runs in slot A. [`Flash::start`] continues an interrupted exchange or begins a requested one, and checks slot A.
 //! If the new image does not confirm itself, the next start returns the previous image. If slot A is damaged, an intact image
@@ -17,11 +17,15 @@
     clippy::arithmetic_side_effects
 )]
 
+mod flash;
 mod records;
 mod slot;
 mod state;
+mod updater;
 
+pub use flash::{Blocking, PolledFlash};
 pub use records::Records;
+pub use updater::{Firmware, FlashWithSlot, Updater};
 
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embedded_storage::nor_flash::NorFlash;

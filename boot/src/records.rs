@@ -7,6 +7,7 @@ use wsg_update::{BootState, Manifest, Phase, RECORD_VERSION, Trust};
 /// The records of the boot loader's state and of the rollback counter, written step by step in turns of the main loop.
 ///
 /// Only one of them exists for a board, because each record continues the previous one.
+#[derive(Clone)]
 pub struct Records {
     state: Store<{ BootState::LEN }>,
     /// The last complete state.

@@ -3,11 +3,7 @@
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use wsg_update::{SlotReader, Unreadable};
 
-/// Unit of error detection.
-const DOUBLE_WORD: usize = 8;
-
-/// Erased flash.
-const ERASED: u8 = 0xFF;
+use crate::flash::{DOUBLE_WORD, ERASED};
 
 /// The first pages of a slot, to be copied.
 ///

@@ -222,7 +222,9 @@ impl Bridge {
         let has_flag = known.flags.unwrap_or_default().contains(SystemFlags::FAST_STOP);
         let is_stopped = is_connected && !is_pending && has_flag && controller.asks_fast_stop();
         let was_active = facts.update.is_active();
-        let continued = facts.update.turn(now, slot, is_free, is_stopped);
+        let may_confirm =
+            !facts.moved && !facts.store.from.is_refusal() && facts.store.save != SaveState::Saving;
+        let continued = facts.update.turn(now, slot, is_free, is_stopped, may_confirm);
         let stops = facts.note_update(was_active, continued).unwrap_or(false);
         if let Some(image) = arbiter.set_restarts(stops) {
             controller.set_output(&image, known);

@@ -23,6 +23,9 @@ const STOP_MS: u32 = 1_000;
 /// Longest operation of the flash, in milliseconds. The flash of a Pico erases a sector in 400 ms at most.
 const OPERATION_MS: u32 = 1_000;
 
+/// Time after which a running image confirms itself, in milliseconds. The main loop has fed the watchdog meanwhile.
+const TRIAL_MS: u32 = 10_000;
+
 /// Bytes of a page that is written, and of the next one.
 const BUFFER_LEN: usize = 2 * SLOT_PAGE_LEN;
 
@@ -64,6 +67,17 @@ enum Operation {
     Program(Instant),
 }
 
+/// Confirmation of the running image.
+#[derive(Clone, Copy, Debug)]
+enum Confirmation {
+    /// Nothing is to be confirmed, or it was.
+    Done,
+    /// Waits since this time, of the start or of the last attempt.
+    Waits(Instant),
+    /// The records are being written.
+    Runs,
+}
+
 /// An update, from its first block to the restart.
 #[derive(Clone, Debug)]
 pub(crate) struct Update {
@@ -77,6 +91,9 @@ pub(crate) struct Update {
     /// Version of the image in slot B.
     version: ImageVersion,
     phase: Phase,
+    confirmation: Confirmation,
+    /// The running image has not confirmed itself.
+    is_on_trial: bool,
     /// The master, and the time of its last block or command; `None` while motions are possible.
     session: Option<(Master, Instant)>,
     refusal: Option<UpdateRefusal>,
@@ -103,6 +120,8 @@ impl Update {
             target: 0,
             version: [0; 3],
             phase: Phase::Idle,
+            confirmation: Confirmation::Done,
+            is_on_trial: false,
             session: None,
             refusal: None,
             received: 0,
@@ -119,6 +138,11 @@ impl Update {
     /// Returns whether a session is in progress, so that motions are refused.
     pub(crate) const fn is_active(&self) -> bool {
         self.session.is_some()
+    }
+
+    /// Returns whether no settings may be stored and no session may begin: the running image has not confirmed itself.
+    pub(crate) const fn is_on_trial(&self) -> bool {
+        self.is_on_trial || matches!(self.confirmation, Confirmation::Runs)
     }
 
     /// Returns the offset of the next block.
@@ -181,6 +205,7 @@ impl Update {
     fn may_enter(&self, master: Master, may_begin: Result<(), UpdateRefusal>) -> Result<(), UpdateRefusal> {
         match self.session {
             _ if self.slot_len == 0 => Err(UpdateRefusal::NoBootLoader),
+            None if self.is_on_trial() => Err(UpdateRefusal::OnTrial),
             None => may_begin,
             Some((other, _)) if other != master => Err(UpdateRefusal::OtherMaster),
             Some(_) => Ok(()),
@@ -215,7 +240,7 @@ impl Update {
     }
 
     /// Continues in each turn. `is_free`: no FAST STOP is pending. `is_stopped`: the gripper has confirmed the FAST STOP that
-    /// precedes a restart.
+    /// precedes a restart. `may_confirm`: the settings are valid, none is being stored, and the fingers stand still.
     ///
     /// Returns whether the FAST STOP must be requested from now on.
     ///
@@ -227,11 +252,16 @@ impl Update {
         slot: &mut dyn Slot,
         is_free: bool,
         is_stopped: bool,
+        may_confirm: bool,
     ) -> Result<bool, UpdateRefusal> {
         self.now = now;
         if self.slot_len == 0 {
             (self.slot_len, self.sector_len) = (slot.len(), slot.sector_len());
             (self.target, self.version) = (slot.target(), slot.version());
+            (self.is_on_trial, self.confirmation) = (slot.is_on_trial(), Confirmation::Waits(now));
+        }
+        if !self.is_active() {
+            self.confirm(slot, is_free && may_confirm);
         }
         let done = self.advance(slot, is_free, is_stopped);
         if done.is_err() {
@@ -244,9 +274,26 @@ impl Update {
         done.map(|()| self.is_restarting())
     }
 
+    /// Confirms the running image once.
+    fn confirm(&mut self, slot: &mut dyn Slot, may_begin: bool) {
+        match self.confirmation {
+            Confirmation::Waits(since)
+                if may_begin && self.now.since(since) >= TRIAL_MS && self.is_idle() =>
+            {
+                self.confirmation = Confirmation::Runs;
+            }
+            Confirmation::Runs => match slot.confirm(self.now) {
+                Err(nb::Error::WouldBlock) => {}
+                Err(nb::Error::Other(_)) => self.confirmation = Confirmation::Waits(self.now),
+                Ok(()) => (self.confirmation, self.is_on_trial) = (Confirmation::Done, false),
+            },
+            Confirmation::Waits(_) | Confirmation::Done => {}
+        }
+    }
+
     fn advance(&mut self, slot: &mut dyn Slot, is_free: bool, is_stopped: bool) -> Result<(), UpdateRefusal> {
         if let Operation::Erase(since) | Operation::Program(since) = self.operation {
-            return match slot.poll() {
+            return match slot.poll(self.now) {
                 Err(nb::Error::WouldBlock) if self.now.since(since) < OPERATION_MS => Ok(()),
                 Ok(()) => self.end_operation(slot),
                 Err(_) => Err(UpdateRefusal::Flash),
@@ -312,7 +359,7 @@ impl Update {
             Phase::Stopping(Some(since)) if is_stopped || self.now.since(since) >= STOP_MS => {
                 self.phase = Phase::Marking;
             }
-            Phase::Marking => match slot.mark() {
+            Phase::Marking => match slot.mark(self.now) {
                 Err(nb::Error::WouldBlock) => {}
                 Err(nb::Error::Other(_)) => return Err(UpdateRefusal::Flash),
                 Ok(()) => {

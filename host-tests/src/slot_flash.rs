@@ -4,8 +4,7 @@ use std::cell::RefCell;
 use std::ops::Range;
 use std::rc::Rc;
 
-use embedded_storage::nor_flash::{self, ErrorType, NorFlashErrorKind, ReadNorFlash};
-use wsg_boot::Flash;
+use wsg_boot::{Blocking, Flash, PolledFlash};
 use wsg_bridge_fw::storage::{self, FlashError, Page, Unreadable};
 
 use crate::flash_pages::{FlashPages, Operation};
@@ -27,7 +26,17 @@ struct State {
     slot: usize,
     observer: Option<Observer>,
     operations: u32,
+    /// Number of busy results before an operation ends.
+    busy_polls: u32,
+    /// Busy results to come.
+    busy: u32,
+    /// Operation, as in `operations`, that ends without an effect.
+    fails_at: Option<u32>,
 }
+
+/// The flash of the boot loader.
+pub type Parts<const PAGE: usize, const UNIT: usize> =
+    Flash<Blocking<Part<PAGE, UNIT>>, Blocking<Part<PAGE, UNIT>>, Part<PAGE, UNIT>, Part<PAGE, UNIT>>;
 
 /// Pages of a slot or of a record.
 #[derive(Clone)]
@@ -43,7 +52,15 @@ impl<const PAGE: usize, const UNIT: usize> SlotFlash<PAGE, UNIT> {
     /// Creates flash with this content.
     #[must_use]
     pub fn with(pages: FlashPages, slot: usize) -> Self {
-        Self(Rc::new(RefCell::new(State { pages, slot, observer: None, operations: 0 })))
+        Self(Rc::new(RefCell::new(State {
+            pages,
+            slot,
+            observer: None,
+            operations: 0,
+            busy_polls: 0,
+            busy: 0,
+            fails_at: None,
+        })))
     }
 
     /// Returns a copy of the content.
@@ -57,6 +74,17 @@ impl<const PAGE: usize, const UNIT: usize> SlotFlash<PAGE, UNIT> {
         self.0.borrow_mut().observer = observer;
     }
 
+    /// Makes each later operation last this number of polls.
+    pub fn set_busy_polls(&self, busy_polls: u32) {
+        self.0.borrow_mut().busy_polls = busy_polls;
+    }
+
+    /// Makes the operation after this number of others end without an effect.
+    pub fn fail_after(&self, operations: u32) {
+        let state = &mut *self.0.borrow_mut();
+        state.fails_at = Some(state.operations + operations);
+    }
+
     /// Returns the number of operations.
     #[must_use]
     pub fn operations(&self) -> u32 {
@@ -65,20 +93,30 @@ impl<const PAGE: usize, const UNIT: usize> SlotFlash<PAGE, UNIT> {
 
     /// Returns the parts.
     #[must_use]
-    pub fn parts(&self) -> Flash<Part<PAGE, UNIT>, Part<PAGE, UNIT>, Part<PAGE, UNIT>, Part<PAGE, UNIT>> {
+    pub fn parts(&self) -> Parts<PAGE, UNIT> {
         let slot = self.0.borrow().slot;
         let part = |range| Part(self.clone(), range);
         let records = 2 * slot + 1;
         Flash {
-            a: part(0..slot),
-            b: part(slot..records),
+            a: Blocking(part(0..slot)),
+            b: Blocking(part(slot..records)),
             state: part(records..records + 2),
             trust: part(records + 2..records + 4),
         }
     }
 
+    fn poll(&self) -> nb::Result<(), FlashError> {
+        let state = &mut *self.0.borrow_mut();
+        if state.busy == 0 {
+            return Ok(());
+        }
+        state.busy -= 1;
+        Err(nb::Error::WouldBlock)
+    }
+
     fn read(&self, page: usize, index: usize) -> Result<u64, Unreadable> {
         let state = &mut *self.0.borrow_mut();
+        assert!(state.busy == 0, "read while an operation runs");
         match state.pages.read(page, index) {
             Err(Unreadable) if UNIT > BYTES => Ok(state.pages.bits(page, index)),
             read => read,
@@ -88,7 +126,12 @@ impl<const PAGE: usize, const UNIT: usize> SlotFlash<PAGE, UNIT> {
     fn run(&self, operations: &[Operation]) -> Result<(), FlashError> {
         let (observed, page, range) = {
             let state = &mut *self.0.borrow_mut();
+            if state.busy > 0 {
+                return Err(FlashError::Busy);
+            }
+            state.busy = state.busy_polls;
             let before = state.observer.is_some().then(|| state.pages.clone());
+            let operations = if state.fails_at == Some(state.operations) { &[] } else { operations };
             for operation in operations {
                 let operation = match *operation {
                     // Without error detection, bits can be cleared at any time.
@@ -105,7 +148,7 @@ impl<const PAGE: usize, const UNIT: usize> SlotFlash<PAGE, UNIT> {
             let (page, range) = match operations {
                 [Operation::Program(page, index, _), ..] => (*page, *index..index + operations.len()),
                 [Operation::Erase(page), ..] => (*page, 0..PAGE / BYTES),
-                [] => return Ok(()),
+                [] => (0, 0..0),
             };
             let observed = state.observer.clone().zip(before);
             (observed.map(|(observer, before)| (observer, before, state.pages.clone())), page, range)
@@ -117,56 +160,43 @@ impl<const PAGE: usize, const UNIT: usize> SlotFlash<PAGE, UNIT> {
     }
 }
 
-impl<const PAGE: usize, const UNIT: usize> ErrorType for Part<PAGE, UNIT> {
-    type Error = NorFlashErrorKind;
+impl<const PAGE: usize, const UNIT: usize> Part<PAGE, UNIT> {
+    /// Returns the page and the index of a double word at this offset.
+    fn place(&self, at: u32) -> (usize, usize) {
+        assert!((at as usize) < self.capacity(), "outside of the slot");
+        (self.1.start + at as usize / PAGE, at as usize % PAGE / BYTES)
+    }
 }
 
-impl<const PAGE: usize, const UNIT: usize> ReadNorFlash for Part<PAGE, UNIT> {
-    const READ_SIZE: usize = 4;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
-        if !offset.is_multiple_of(4) || offset as usize + bytes.len() > self.capacity() {
-            return Err(NorFlashErrorKind::OutOfBounds);
-        }
-        for (half, at) in bytes.chunks_mut(4).zip((offset as usize..).step_by(4)) {
-            let read = self.0.read(self.1.start + at / PAGE, at % PAGE / BYTES);
-            let value = read.map_err(|Unreadable| NorFlashErrorKind::Other)?.to_le_bytes();
-            half.copy_from_slice(&value[at % BYTES..][..half.len()]);
-        }
-        Ok(())
-    }
+impl<const PAGE: usize, const UNIT: usize> PolledFlash for Part<PAGE, UNIT> {
+    const SECTOR_LEN: usize = PAGE;
+    const UNIT_LEN: usize = UNIT;
 
     fn capacity(&self) -> usize {
         self.1.len() * PAGE
     }
-}
 
-impl<const PAGE: usize, const UNIT: usize> nor_flash::NorFlash for Part<PAGE, UNIT> {
-    const WRITE_SIZE: usize = UNIT;
-    const ERASE_SIZE: usize = PAGE;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
-        assert!((from as usize).is_multiple_of(PAGE) && (to as usize).is_multiple_of(PAGE));
-        for page in from as usize / PAGE..to as usize / PAGE {
-            assert!(page < self.1.len(), "erase outside of the slot");
-            self.0.run(&[Operation::Erase(self.1.start + page)]).map_err(|_| NorFlashErrorKind::Other)?;
-        }
-        Ok(())
+    fn read(&self, at: u32) -> Result<u64, Unreadable> {
+        let (page, index) = self.place(at);
+        self.0.read(page, index)
     }
 
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
-        assert!((offset as usize).is_multiple_of(UNIT) && bytes.len().is_multiple_of(UNIT));
-        assert!(offset as usize + bytes.len() <= self.capacity(), "write outside of the slot");
-        for (unit, at) in bytes.chunks(UNIT).zip((offset as usize..).step_by(UNIT)) {
-            let page = self.1.start + at / PAGE;
-            let double_words = unit.as_chunks::<BYTES>().0.iter().zip(at % PAGE / BYTES..);
-            let program = |(bytes, index): (&[u8; BYTES], _)| {
-                Operation::Program(page, index, u64::from_le_bytes(*bytes))
-            };
-            let operations: Vec<_> = double_words.map(program).collect();
-            self.0.run(&operations).map_err(|_| NorFlashErrorKind::Other)?;
-        }
-        Ok(())
+    fn start_erase(&mut self, at: u32) -> Result<(), FlashError> {
+        assert!((at as usize).is_multiple_of(PAGE), "{at}");
+        self.0.run(&[Operation::Erase(self.place(at).0)])
+    }
+
+    fn start_program(&mut self, at: u32, unit: &[u8]) -> Result<(), FlashError> {
+        assert!((at as usize).is_multiple_of(UNIT) && unit.len() == UNIT, "{at}");
+        let (page, first) = self.place(at);
+        let double_words = unit.as_chunks::<BYTES>().0.iter().zip(first..);
+        let program =
+            |(bytes, index): (&[u8; BYTES], _)| Operation::Program(page, index, u64::from_le_bytes(*bytes));
+        self.0.run(&double_words.map(program).collect::<Vec<_>>())
+    }
+
+    fn poll(&mut self) -> nb::Result<(), FlashError> {
+        self.0.poll()
     }
 }
 
@@ -186,6 +216,6 @@ impl<const PAGE: usize, const UNIT: usize> storage::NorFlash for Part<PAGE, UNIT
     }
 
     fn poll(&mut self) -> nb::Result<(), FlashError> {
-        Ok(())
+        self.0.poll()
     }
 }

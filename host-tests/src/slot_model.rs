@@ -1,9 +1,14 @@
-//! Slot B of a board with a boot loader, and the boot loader's check with test keys.
+//! A board with a boot loader and test keys in virtual time.
 
+use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
+use wsg_boot::{Blocking, Firmware, Stopped, Updater};
 use wsg_bridge_fw::registers::UpdateRefusal;
 use wsg_bridge_fw::storage::{FlashError, ImageVersion, SLOT_PAGE_LEN, Slot, Unreadable};
+use wsg_protocol::Instant;
 use wsg_update::sign::{SigningKey, file};
-use wsg_update::{Check, Keys, Manifest, Rules, SIGNATURE_LEN, SLOT_LEN, Target, Version};
+use wsg_update::{Keys, Manifest, SLOT_LEN, Target, Version};
+
+use crate::slot_flash::{Part, Parts, SlotFlash};
 
 /// Name of the board in virtual time.
 pub const BOARD_NAME: &str = "virtual";
@@ -14,24 +19,10 @@ pub const SECTOR_LEN: usize = 2_048;
 /// Lowest accepted rollback counter.
 const COUNTER: u32 = 3;
 
-fn key(seed: u8) -> SigningKey {
-    SigningKey::from_bytes(&[seed; 32])
-}
-
-fn rules() -> Rules {
-    let public = |seed| key(seed).verifying_key().to_bytes();
-    Rules {
-        target: Target::of(BOARD_NAME),
-        keys: Keys { first: public(1), second: public(2) },
-        counter: COUNTER,
-    }
-}
-
 /// Returns the public keys of the boot loader.
 #[must_use]
-pub fn keys() -> [[u8; 32]; 2] {
-    let Keys { first, second } = rules().keys;
-    [first, second]
+pub const fn keys() -> [[u8; 32]; 2] {
+    [Keys::BUILT_IN.first, Keys::BUILT_IN.second]
 }
 
 /// Returns an image of about this length for this board with its signature by the second key.
@@ -43,60 +34,81 @@ pub fn signed(len: usize, board: &str, version: [u8; 3]) -> Vec<u8> {
     let program: Vec<u8> = (0..len).map(|at| (at * 7 % 251) as u8).collect();
     let (target, version) = (Target::of(board), Version(version));
     let manifest = Manifest { target, version, length: 0, counter: COUNTER, successor: None };
-    file(&program, manifest, &key(2)).expect("it fits into a slot")
+    file(&program, manifest, &SigningKey::from_bytes(&[2; 32])).expect("it fits into a slot")
 }
 
-#[derive(Clone, Copy, Debug)]
-enum Operation {
-    Erase(usize),
-    Program(usize),
-}
-
-/// The simulated slot.
+/// The driver of slot B of a bridge in virtual time, on flash with both slots.
 #[derive(Clone)]
 pub struct SlotModel {
-    /// Content of the flash.
-    pub bytes: Vec<u8>,
-    running: Option<(Operation, u32)>,
-    /// Page that is being programmed.
-    page: [u8; SLOT_PAGE_LEN],
-    check: Option<Check>,
-    /// Number of busy results before an operation ends.
-    pub busy_polls: u32,
-    /// Operation, as in [`Self::operations`], that ends without an effect.
-    pub fails_at: Option<u32>,
-    /// Number of operations started.
-    pub operations: u32,
+    /// The flash.
+    pub flash: SlotFlash<SECTOR_LEN, 8>,
+    updater: Updater<SlotPart, SlotPart, SlotPart>,
     /// Number of requests to exchange the slots.
     pub marks: u32,
     /// Number of resets.
     pub restarts: u32,
 }
 
+type SlotPart = Part<SECTOR_LEN, 8>;
+
+/// Version of the image in slot A of new flash.
+pub const RUNNING: [u8; 3] = [1, 0, 0];
+
 impl SlotModel {
-    /// Creates a slot with old data.
+    /// Creates flash with a confirmed image in slot A, and old data in slot B.
+    ///
+    /// # Panics
+    /// Panics if the boot loader does not start the image.
     #[must_use]
     pub fn new() -> Self {
-        Self {
-            bytes: vec![0x55; SLOT_LEN as usize],
-            running: None,
-            page: [0; SLOT_PAGE_LEN],
-            check: None,
-            busy_polls: 2,
-            fails_at: None,
-            operations: 0,
-            marks: 0,
-            restarts: 0,
-        }
+        const PAGES: usize = SLOT_LEN as usize / SECTOR_LEN;
+        let flash = SlotFlash::new(PAGES);
+        let Parts { mut a, mut b, .. } = flash.parts();
+        a.write(0, &signed(1_000, BOARD_NAME, RUNNING)).expect("the flash is erased");
+        b.write(0, &[0x55; 2 * SECTOR_LEN]).expect("the flash is erased");
+        let mut slot = Self::started(flash).expect("the image is signed");
+        while slot.updater.confirm(Instant::from_millis(0)) == Err(nb::Error::WouldBlock) {}
+        Self::started(SlotFlash::with(slot.flash.content(), PAGES)).expect("it started before")
     }
 
-    fn begin(&mut self, operation: Operation) -> Result<(), FlashError> {
-        if self.running.is_some() {
-            return Err(FlashError::Busy);
-        }
-        self.operations += 1;
-        self.running = Some((operation, self.busy_polls));
-        Ok(())
+    /// Lets the boot loader start an image as after a reset.
+    ///
+    /// # Errors
+    /// The reason why none can be started.
+    ///
+    /// # Panics
+    /// Panics when slot A contains no image.
+    pub fn started(flash: SlotFlash<SECTOR_LEN, 8>) -> Result<Self, Stopped> {
+        let mut parts = flash.parts();
+        parts.start(Target::of(BOARD_NAME), Keys::BUILT_IN, &|| {})?;
+        let Parts { a: Blocking(a), b: Blocking(b), state, trust } = parts;
+        let firmware = Firmware::of(&a, BOARD_NAME, Some(wsg_boot::verify), || {}).expect("it was started");
+        Ok(Self { flash, updater: Updater::new(b, state, trust, firmware), marks: 0, restarts: 0 })
+    }
+
+    /// Returns the version of the image in slot A.
+    ///
+    /// # Panics
+    /// Panics when it contains none.
+    #[must_use]
+    pub fn running(&self) -> [u8; 3] {
+        let Blocking(a) = self.flash.parts().a;
+        Firmware::of(&a, BOARD_NAME, Some(wsg_boot::verify), || {})
+            .expect("slot A has an image")
+            .image
+            .version
+            .0
+    }
+
+    /// Returns the first bytes of slot B.
+    ///
+    /// # Panics
+    /// Panics when they cannot be read.
+    #[must_use]
+    pub fn bytes(&self, len: usize) -> Vec<u8> {
+        let mut bytes = vec![0; len];
+        self.flash.parts().b.read(0, &mut bytes).expect("the slot is readable");
+        bytes
     }
 }
 
@@ -108,83 +120,55 @@ impl Default for SlotModel {
 
 impl Slot for SlotModel {
     fn len(&self) -> u32 {
-        SLOT_LEN
+        self.updater.len()
     }
 
     fn sector_len(&self) -> u32 {
-        SECTOR_LEN as u32
+        self.updater.sector_len()
     }
 
     fn target(&self) -> u32 {
-        rules().target.number()
+        self.updater.target()
     }
 
     fn version(&self) -> ImageVersion {
-        [0; 3]
+        self.updater.version()
+    }
+
+    fn is_on_trial(&self) -> bool {
+        self.updater.is_on_trial()
     }
 
     fn start_erase(&mut self, at: u32) -> Result<(), FlashError> {
-        assert!(at.is_multiple_of(SECTOR_LEN as u32), "{at}");
-        self.check = None;
-        self.begin(Operation::Erase(at as usize))
+        self.updater.start_erase(at)
     }
 
     fn start_program(&mut self, at: u32, page: &[u8; SLOT_PAGE_LEN]) -> Result<(), FlashError> {
-        assert!(at.is_multiple_of(SLOT_PAGE_LEN as u32), "{at}");
-        self.begin(Operation::Program(at as usize))?;
-        self.page = *page;
-        Ok(())
+        self.updater.start_program(at, page)
     }
 
-    fn poll(&mut self) -> nb::Result<(), FlashError> {
-        match self.running.take() {
-            None => Ok(()),
-            Some((operation, polls @ 1..)) => {
-                self.running = Some((operation, polls - 1));
-                Err(nb::Error::WouldBlock)
-            }
-            Some(_) if self.fails_at == Some(self.operations) => Ok(()),
-            Some((Operation::Erase(at), _)) => {
-                self.bytes[at..at + SECTOR_LEN].fill(0xFF);
-                Ok(())
-            }
-            Some((Operation::Program(at), _)) => {
-                self.bytes[at..].iter_mut().zip(self.page).for_each(|(old, new)| *old &= new);
-                Ok(())
-            }
-        }
+    fn poll(&mut self, now: Instant) -> nb::Result<(), FlashError> {
+        self.updater.poll(now)
     }
 
     fn read(&self, at: u32) -> Result<u64, Unreadable> {
-        assert!(self.running.is_none(), "read while an operation runs");
-        let bytes = self.bytes.get(at as usize..).and_then(|rest| rest.first_chunk()).ok_or(Unreadable)?;
-        Ok(u64::from_le_bytes(*bytes))
+        self.updater.read(at)
     }
 
     fn check(&mut self, len: u32) -> nb::Result<ImageVersion, UpdateRefusal> {
-        let mut slot = &self.bytes[..];
-        let step = match &mut self.check {
-            Some(check) => check.step(&mut slot),
-            none => Check::begin(&mut slot, rules()).map(|check| {
-                *none = Some(check);
-                None
-            }),
-        };
-        let refused = |code| UpdateRefusal::from_code(code).expect("a reason of the boot loader");
-        match step {
-            Ok(None) => Err(nb::Error::WouldBlock),
-            Ok(Some(manifest)) if manifest.length + SIGNATURE_LEN as u32 == len => Ok(manifest.version.0),
-            Ok(Some(_)) => Err(nb::Error::Other(UpdateRefusal::WrongLength)),
-            Err(why) => Err(nb::Error::Other(refused(10 + why as u16))),
-        }
+        self.updater.check(len)
     }
 
-    fn mark(&mut self) -> nb::Result<(), FlashError> {
-        self.marks += 1;
-        Ok(())
+    fn mark(&mut self, now: Instant) -> nb::Result<(), FlashError> {
+        self.updater.mark(now).inspect(|()| self.marks += 1)
+    }
+
+    fn confirm(&mut self, now: Instant) -> nb::Result<(), FlashError> {
+        self.updater.confirm(now)
     }
 
     fn restart(&mut self) {
+        self.updater.restart();
         self.restarts += 1;
     }
 }

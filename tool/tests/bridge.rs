@@ -569,7 +569,7 @@ fn update_is_checked_sent_with_repeats_continued_and_started() {
         let expected = format!("{image} is no valid image: the signature is wrong");
         served.refused(&["update", image, "--yes", "--key", key], &expected);
     }
-    assert_eq!(served.act(|plant| slot(plant).unwrap().operations), 0, "nothing was sent");
+    assert_eq!(served.act(|plant| slot(plant).unwrap().flash.operations()), 0, "nothing was sent");
     let expected = "the bridge refused the image: the signature is wrong; it keeps firmware 0.1.0";
     served.refused(&["update", &damaged, "--yes"], expected);
 

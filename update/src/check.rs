@@ -129,6 +129,30 @@ impl fmt::Display for Refusal {
 
 impl core::error::Error for Refusal {}
 
+impl Manifest {
+    /// Bytes of the vector table up to the length, and of a manifest.
+    const MIN_LENGTH: u32 = (LENGTH_AT + 4 + Self::LEN) as u32;
+
+    /// Reads the manifest of the image in a slot. It is not trusted.
+    ///
+    /// # Errors
+    /// [`Refusal`] for a slot without an image.
+    pub fn read(slot: &mut impl SlotReader) -> Result<Self, Refusal> {
+        let mut length = [0; 4];
+        read(slot, LENGTH_AT as u32, &mut length)?;
+        let length = u32::from_le_bytes(length);
+        if length < Self::MIN_LENGTH || !length.is_multiple_of(8) {
+            return Err(Refusal::NoImage);
+        }
+        if length > const { SLOT_LEN - SIGNATURE_LEN as u32 } {
+            return Err(Refusal::TooLong);
+        }
+        let mut bytes = [0; Self::LEN];
+        read(slot, length.saturating_sub(Self::LEN as u32), &mut bytes)?;
+        Self::decode(&bytes).filter(|manifest| manifest.length == length).ok_or(Refusal::NoImage)
+    }
+}
+
 /// A check in progress.
 #[derive(Clone, Debug)]
 pub struct Check {
@@ -145,27 +169,12 @@ impl Check {
     /// Bytes per step: a block of SHA-512.
     pub const BLOCK_LEN: usize = 128;
 
-    /// Bytes of the vector table up to the length, and of a manifest.
-    const MIN_LENGTH: u32 = (LENGTH_AT + 4 + Manifest::LEN) as u32;
-
     /// Checks everything but the signature.
     ///
     /// # Errors
     /// [`Refusal`].
     pub fn begin(slot: &mut impl SlotReader, rules: Rules) -> Result<Self, Refusal> {
-        let mut length = [0; 4];
-        read(slot, LENGTH_AT as u32, &mut length)?;
-        let length = u32::from_le_bytes(length);
-        if length < Self::MIN_LENGTH || !length.is_multiple_of(8) {
-            return Err(Refusal::NoImage);
-        }
-        if length > const { SLOT_LEN - SIGNATURE_LEN as u32 } {
-            return Err(Refusal::TooLong);
-        }
-        let mut bytes = [0; Manifest::LEN];
-        read(slot, length.saturating_sub(Manifest::LEN as u32), &mut bytes)?;
-        let manifest = Manifest::decode(&bytes).filter(|manifest| manifest.length == length);
-        let manifest = manifest.ok_or(Refusal::NoImage)?;
+        let manifest = Manifest::read(slot)?;
         if manifest.target != rules.target {
             return Err(Refusal::WrongBoard);
         }

@@ -4,11 +4,10 @@
 #![no_main]
 
 use cortex_m_rt::entry;
-use wsg_update::Target;
 
 use wsg_b_l475e_iot01a::drivers::Iot01a;
 
 #[entry]
 fn main() -> ! {
-    wsg_stm32::boot::<Iot01a>(const { Target::of("b-l475e-iot01a") })
+    wsg_stm32::boot::<Iot01a>()
 }

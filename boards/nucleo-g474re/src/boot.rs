@@ -4,11 +4,10 @@
 #![no_main]
 
 use cortex_m_rt::entry;
-use wsg_update::Target;
 
 use wsg_nucleo_g474re::drivers::Nucleo;
 
 #[entry]
 fn main() -> ! {
-    wsg_stm32::boot::<Nucleo>(const { Target::of("nucleo-g474re") })
+    wsg_stm32::boot::<Nucleo>()
 }

@@ -12,6 +12,8 @@ use crate::{Divider, InputWire, LinePin, OutputWire, Port};
 pub trait Stm32Board: Sized {
     /// The board's name in reports.
     const NAME: &'static str;
+    /// The board's name in the workspace, whose images alone its boot loader accepts.
+    const ID: &'static str;
 
     /// The input wires, in the order of the bits of [`Inputs`].
     const INPUTS: [InputWire; Inputs::COUNT];

@@ -3,7 +3,7 @@
 use core::ptr::with_exposed_provenance;
 
 use cortex_m::peripheral::SCB;
-use wsg_boot::{Flash, Stopped};
+use wsg_boot::{Blocking, Flash, Stopped};
 use wsg_update::{Keys, Target};
 
 use crate::board::Stm32Board;
@@ -19,15 +19,15 @@ static VERIFY: wsg_boot::Verify = wsg_boot::verify;
 const STARTS_CLOCK: bool = chip::RESET_HZ < 16_000_000;
 
 /// Starts the image in slot A after its checks. Without any acceptable image, stays in the safe state: outputs low, LED blinking.
-pub fn boot<Board: Stm32Board>(target: Target) -> ! {
+pub fn boot<Board: Stm32Board>() -> ! {
     // Outputs are low from here until the image sets them.
     let (_wires, mut led) = gpio::init::<Board>();
     let watchdog = watchdog::start_for_boot();
     if STARTS_CLOCK {
         let _ = Board::start_clock();
     }
-    let mut flash = Flash { a: A, b: B, state: STATE, trust: TRUST };
-    match flash.start(target, Keys::BUILT_IN, &|| watchdog.feed()) {
+    let mut flash = Flash { a: Blocking(A), b: Blocking(B), state: STATE, trust: TRUST };
+    match flash.start(const { Target::of(Board::ID) }, Keys::BUILT_IN, &|| watchdog.feed()) {
         Ok(_) => {
             chip::stop_clock();
             start_slot_a()

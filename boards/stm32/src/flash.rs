@@ -17,7 +17,7 @@ use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
 
 use crate::chip::{self, FLASH_BANK_BYTES, FLASH_END};
 
-#[cfg(feature = "boot")]
+#[cfg(feature = "updates")]
 pub(crate) mod slot;
 
 const PAGE_BYTES: usize = 2048;
@@ -42,8 +42,29 @@ const UNREADABLE: u8 = 2;
 pub(crate) struct RecordPages(usize);
 
 /// Returns the settings' pages. Call it once.
-pub(crate) const fn settings_pages() -> RecordPages {
+const fn settings_pages() -> RecordPages {
     RecordPages(FLASH_END - RECORDS)
+}
+
+/// The flash of the firmware.
+#[cfg(not(feature = "slot"))]
+pub(crate) type FirmwareFlash = RecordPages;
+#[cfg(feature = "slot")]
+pub(crate) type FirmwareFlash = wsg_boot::FlashWithSlot<RecordPages, slot::Slot, RecordPages, RecordPages>;
+
+/// Returns the flash of the firmware of this board. Call it once.
+#[cfg(not(feature = "slot"))]
+pub(crate) const fn open(_: &str) -> FirmwareFlash {
+    settings_pages()
+}
+
+/// Returns the flash of the firmware of this board. Call it once.
+#[cfg(feature = "slot")]
+pub(crate) fn open(board: &str) -> FirmwareFlash {
+    let firmware = wsg_boot::Firmware::of(&slot::A, board, slot::verify(), || SCB::sys_reset());
+    let updater =
+        firmware.map(|firmware| wsg_boot::Updater::new(slot::B, slot::STATE, slot::TRUST, firmware));
+    FirmwareFlash { settings: settings_pages(), updater }
 }
 
 impl RecordPages {

@@ -8,7 +8,7 @@ use wsg_bridge_fw::{Board, BoardId, Config, Hardware, Station};
 
 use crate::board::Stm32Board;
 use crate::chip::RESET_HZ;
-use crate::flash::RecordPages;
+use crate::flash::FirmwareFlash;
 use crate::gpio::Led;
 use crate::watchdog::Watchdog;
 use crate::{bus, delivered, flash, gpio, gripper_line, reset, unique_id, watchdog};
@@ -31,7 +31,7 @@ pub fn run<B: Stm32Board>(station: &mut Station<B::Can>) -> ! {
         gripper: gripper_line::line::<B>(),
         bus: &mut bus::line::<B>(),
         service: &mut bus::service_line::<B>(),
-        flash: &mut flash::settings_pages(),
+        flash: &mut flash::open(B::ID),
     };
     wsg_bridge_fw::run(board, station, reset_cause)
 }
@@ -43,7 +43,7 @@ struct Registers<B> {
 
 impl<B: Stm32Board> Hardware for Registers<B> {
     type Can = B::Can;
-    type Flash = RecordPages;
+    type Flash = FirmwareFlash;
 
     fn delivered() -> Record {
         delivered::settings()

@@ -313,7 +313,9 @@ const fn refused(why: UpdateRefusal) -> Exception {
     use UpdateRefusal as Why;
     match why {
         Why::NoBootLoader => Exception::IllegalFunction,
-        Why::Moving | Why::Saving | Why::OtherMaster | Why::Busy => Exception::ServerDeviceBusy,
+        Why::Moving | Why::Saving | Why::OtherMaster | Why::Busy | Why::OnTrial => {
+            Exception::ServerDeviceBusy
+        }
         Why::OutOfOrder | Why::TooLong => Exception::IllegalDataAddress,
         _ => Exception::ServerDeviceFailure,
     }

@@ -169,6 +169,7 @@ impl View<'_> {
         self.may_change_settings()?;
         match command {
             StoreCommand::Restore => self.settings.restore(),
+            _ if self.facts.update.is_on_trial() => return Err(RegisterError::Updating),
             StoreCommand::Save | StoreCommand::Defaults => self.settings.ask(command),
         }
         Ok(())

@@ -38,6 +38,7 @@ update_refusals! {
     7 TooLong "image exceeds a slot";
     8 NothingReceived "image is not complete or not checked";
     9 Flash "flash failed";
+    10 OnTrial "running image has not confirmed itself, 10 s after its start";
     11 NoImage "file contains no image";
     12 Unreadable "image is unreadable in the flash";
     13 WrongLength "length of the image is wrong";

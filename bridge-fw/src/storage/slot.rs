@@ -1,5 +1,7 @@
 //! Interface to slot B of the flash, and to the boot loader that exchanges the slots.
 
+use wsg_protocol::Instant;
+
 use super::error::{FlashError, Unreadable};
 use crate::register::UpdateRefusal;
 
@@ -31,6 +33,10 @@ pub trait Slot {
     /// Returns the version of the image in the slot, as far as it can be read. Called once, at the start.
     fn version(&self) -> ImageVersion;
 
+    /// Returns whether the running image has not confirmed itself. Until then, slot B contains the previous image, and nothing
+    /// may be written to the slot or to the settings, which the previous image would refuse.
+    fn is_on_trial(&self) -> bool;
+
     /// Starts to erase the sector at this offset. [`poll`](Self::poll) returns the result.
     ///
     /// # Errors
@@ -47,7 +53,7 @@ pub trait Slot {
     ///
     /// # Errors
     /// [`nb::Error::WouldBlock`] during the operation, then its error if it failed.
-    fn poll(&mut self) -> nb::Result<(), FlashError>;
+    fn poll(&mut self, now: Instant) -> nb::Result<(), FlashError>;
 
     /// Reads eight bytes at this offset, a multiple of 8. Not called during an operation.
     ///
@@ -66,7 +72,13 @@ pub trait Slot {
     ///
     /// # Errors
     /// [`nb::Error::WouldBlock`] before the last part, then its error if it failed.
-    fn mark(&mut self) -> nb::Result<(), FlashError>;
+    fn mark(&mut self, now: Instant) -> nb::Result<(), FlashError>;
+
+    /// Confirms the running image, so that the boot loader does not return the previous one. Each call does a part.
+    ///
+    /// # Errors
+    /// [`nb::Error::WouldBlock`] before the last part, then its error if it failed.
+    fn confirm(&mut self, now: Instant) -> nb::Result<(), FlashError>;
 
     /// Resets the MCU. It returns only in a model.
     fn restart(&mut self);

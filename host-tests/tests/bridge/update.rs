@@ -1,13 +1,14 @@
 //! Updates in the field, over each transport: the transfer, its refusals, and what the gripper notices of them.
 
 use host_tests::addresses::report;
+use host_tests::flash_model::FlashModel;
 use host_tests::slot_model::{self, SECTOR_LEN, SlotModel};
 use host_tests::world::canopen::NODE;
 use host_tests::world::modbus::UNIT;
 use host_tests::world::{BOARD, World, quick, with_part};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, UpdateRefusal};
-use wsg_bridge_fw::{Config, PlcBus};
+use wsg_bridge_fw::{Config, PlcBus, ResetCause};
 use wsg_protocol::{CommandId, SystemFlags};
 
 /// Connection of a master.
@@ -56,7 +57,9 @@ impl Rig {
     }
 
     fn of(over: Over, mut world: World) -> Self {
-        world.flash.slot = Some(SlotModel::new());
+        let slot = SlotModel::new();
+        slot.flash.set_busy_polls(2);
+        world.flash.slot = Some(slot);
         world.pass(2);
         world.take_sent();
         Self { world, over, toggle: false }
@@ -64,6 +67,14 @@ impl Rig {
 
     fn slot(&mut self) -> &mut SlotModel {
         self.world.flash.slot.as_mut().expect("there is a boot loader")
+    }
+
+    /// Resets the bridge, whose boot loader exchanges the slots if that was requested.
+    fn reset(&mut self) {
+        let flash = self.slot().flash.clone();
+        self.world.flash.slot = Some(SlotModel::started(flash).expect("slot A has a signed image"));
+        self.world.restart_bridge(ResetCause::Firmware);
+        self.world.pass(200);
     }
 
     /// Sends a request, and waits for the response as long as a patient master. Fails with the exception.
@@ -212,7 +223,7 @@ fn image_is_received_checked_and_started_after_a_fast_stop() {
         assert!(!rig.moves(), "{over:?}");
 
         assert_eq!(rig.send(&file), RECEIVED, "{over:?}: {:?}", rig.refusal());
-        assert_eq!(rig.slot().bytes[..file.len()], file, "{over:?}");
+        assert_eq!(rig.slot().bytes(file.len()), file, "{over:?}");
         let at = |rig: &mut Rig, name: &str| {
             let [high, low] = ["HIGH", "LOW"].map(|half| u32::from(rig.report(&format!("{name}_{half}"))));
             high << 16 | low
@@ -401,7 +412,7 @@ fn update_in_any_state_moves_nothing_and_delays_no_fast_stop() {
             let begun = rig.block(0, &file[..BLOCK_LEN]);
             if !may_begin {
                 assert_eq!(begun, if over == Over::Canopen { DEVICE_STATE } else { BUSY }, "{over:?} {name}");
-                assert_eq!((rig.refusal(), rig.slot().operations), (Some(UpdateRefusal::Moving), 0));
+                assert_eq!((rig.refusal(), rig.slot().flash.operations()), (Some(UpdateRefusal::Moving), 0));
                 continue;
             }
             assert_eq!(begun, Ok(()), "{over:?} {name}");
@@ -434,13 +445,13 @@ fn no_flash_operation_starts_while_a_fast_stop_is_unconfirmed() {
     rig.world.set_cut(true);
     rig.world.set(Inputs::FAST_STOP_OK, false);
     rig.world.pass(3);
-    let before = rig.slot().operations;
+    let before = rig.slot().flash.operations();
     let [a, b] = [BLOCK_LEN, 2 * BLOCK_LEN];
     let pdu = [&[21, 251, 6, 0, 1, 0, 122, 0, 122], &file[a..b]].concat();
     rig.world.service.ask(&[&[UNIT][..], &pdu].concat());
     let mut waited = 0;
     while rig.world.bridge().is_connected() {
-        assert_eq!(rig.slot().operations, before);
+        assert_eq!(rig.slot().flash.operations(), before);
         rig.world.step();
         waited += 1;
     }
@@ -448,14 +459,14 @@ fn no_flash_operation_starts_while_a_fast_stop_is_unconfirmed() {
     rig.world.set_cut(false);
     rig.world.pass(1_000);
     assert_eq!(rig.block(a, &file[a..b]), Ok(()), "repeated after the master's time-out");
-    assert!(rig.slot().operations > before);
+    assert!(rig.slot().flash.operations() > before);
 }
 
 #[test]
 fn failing_flash_refuses_the_image_in_bounded_time() {
     let file = signed(3_000);
-    let breaks: [fn(&mut SlotModel); 2] =
-        [|slot| slot.busy_polls = u32::MAX, |slot| slot.fails_at = Some(slot.operations + 2)];
+    let breaks: [fn(&SlotModel); 2] =
+        [|slot| slot.flash.set_busy_polls(u32::MAX), |slot| slot.flash.fail_after(20)];
     for breaks in breaks {
         let mut rig = Rig::homed(Over::Service);
         rig.block(0, &file[..BLOCK_LEN]).unwrap();
@@ -463,6 +474,61 @@ fn failing_flash_refuses_the_image_in_bounded_time() {
         assert_eq!(rig.block(BLOCK_LEN, &file[BLOCK_LEN..2 * BLOCK_LEN]), Err(4));
         assert_eq!((rig.report("UPDATE_STATE"), rig.refusal()), (REFUSED, Some(UpdateRefusal::Flash)));
         assert!(rig.outputs().contains(Outputs::READY));
+    }
+}
+
+/// Course of the time after the first start of a new image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Trial {
+    Passed,
+    EndedEarly,
+    WithRefusedSettings,
+}
+
+#[test]
+fn new_image_confirms_itself_after_ten_seconds_or_the_previous_one_returns() {
+    let file = signed(3 * SECTOR_LEN);
+    for trial in [Trial::Passed, Trial::EndedEarly, Trial::WithRefusedSettings] {
+        let mut rig = Rig::homed(Over::Service);
+        if trial == Trial::WithRefusedSettings {
+            let slot = rig.world.flash.slot.take();
+            rig.world.flash = FlashModel::with_record(99, &[0; 20]);
+            rig.world.flash.slot = slot;
+        }
+        assert_eq!(rig.send(&file), RECEIVED);
+        assert_eq!(rig.restart(), Ok(()));
+        rig.world.pass(1_100);
+        assert_eq!(rig.slot().restarts, 1);
+        let settings = rig.world.flash.operations;
+        rig.reset();
+        assert_eq!(rig.slot().running(), [1, 2, 3]);
+        assert_eq!(rig.report("SLOT_B_VERSION"), 0, "the previous image is a page further");
+
+        let (duration, is_confirmed) = match trial {
+            Trial::Passed => (10_200, true),
+            Trial::EndedEarly => (9_000, false),
+            Trial::WithRefusedSettings => (30_000, false),
+        };
+        for elapsed in 0..duration {
+            if elapsed % 1_000 == 500 && elapsed < 10_000 {
+                assert_eq!(rig.command(Over::Bus, "SAVE"), BUSY, "{trial:?} {elapsed}");
+                assert_eq!(rig.block(0, &file[..BLOCK_LEN]), BUSY, "{trial:?} {elapsed}");
+                assert_eq!(rig.refusal(), Some(UpdateRefusal::OnTrial));
+            }
+            rig.world.step();
+        }
+        assert_eq!(rig.world.flash.operations, settings, "{trial:?}: no settings were stored");
+        let accepted = if is_confirmed { Ok(()) } else { BUSY };
+        assert_eq!(rig.command(Over::Bus, "SAVE"), accepted, "{trial:?}");
+        rig.world.pass(500);
+        assert_eq!(rig.world.flash.operations > settings, is_confirmed);
+        for _ in 0..2 {
+            rig.reset();
+            assert_eq!(rig.slot().running() == [1, 2, 3], is_confirmed, "{trial:?}");
+        }
+        // The next update is accepted in every case.
+        rig.world.pass(10_100);
+        assert_eq!(rig.send(&slot_model::signed(2_000, BOARD.name, [1, 2, 4])), RECEIVED, "{trial:?}");
     }
 }
 

@@ -30,6 +30,7 @@ pub enum Iot01a {}
 
 impl Stm32Board for Iot01a {
     const NAME: &'static str = NAME;
+    const ID: &'static str = "b-l475e-iot01a";
 
     const INPUTS: [InputWire; Inputs::COUNT] = INPUTS;
     const OUTPUT_PORT: Port = OUTPUT_PORT;

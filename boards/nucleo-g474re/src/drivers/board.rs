@@ -27,6 +27,7 @@ pub enum Nucleo {}
 
 impl Stm32Board for Nucleo {
     const NAME: &'static str = NAME;
+    const ID: &'static str = "nucleo-g474re";
 
     const INPUTS: [InputWire; Inputs::COUNT] = INPUTS;
     const OUTPUT_PORT: Port = OUTPUT_PORT;

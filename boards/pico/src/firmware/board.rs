@@ -7,7 +7,7 @@ use wsg_bridge_fw::registers::Record;
 use wsg_bridge_fw::{Config, Hardware};
 
 use crate::can::{self, Can};
-use crate::flash::RecordSectors;
+use crate::flash::{self, FirmwareFlash};
 use crate::pins::Led;
 use crate::watchdog::Watchdog;
 use crate::{bus, settings, tick, uart, usb};
@@ -20,7 +20,7 @@ pub(crate) struct Registers {
 
 impl Hardware for Registers {
     type Can = Can;
-    type Flash = RecordSectors;
+    type Flash = FirmwareFlash;
 
     fn delivered() -> Record {
         settings::delivered()
@@ -64,9 +64,9 @@ impl Hardware for Registers {
     }
 
     /// Programs the flash, which blocks the program, only while the fingers are at rest and no line transmits.
-    fn after_turn(&mut self, shown: Outputs, flash: &mut RecordSectors) {
+    fn after_turn(&mut self, shown: Outputs, flash: &mut FirmwareFlash) {
         if bus::is_silent() && uart::is_silent() && !shown.contains(Outputs::BUSY) {
-            flash.work();
+            flash::work(flash);
         }
     }
 

@@ -11,6 +11,9 @@ use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
 
 use crate::watchdog;
 
+#[cfg(any(feature = "boot", feature = "slot"))]
+pub(crate) mod slots;
+
 /// Offset of the first sector: the end of 2 MiB less two sectors. `board-memory.x` reserves them.
 const FIRST_SECTOR: u32 = 2 * 1024 * 1024 - 2 * SECTOR_BYTES as u32;
 pub(crate) const SECTOR_BYTES: usize = 4096;
@@ -58,6 +61,37 @@ enum Operation {
     Erase(u32),
     /// Programs the page buffer at this offset.
     Program(u32),
+}
+
+/// The flash of the firmware.
+#[cfg(not(feature = "slot"))]
+pub(crate) type FirmwareFlash = RecordSectors;
+#[cfg(feature = "slot")]
+pub(crate) type FirmwareFlash =
+    wsg_boot::FlashWithSlot<RecordSectors, slots::Slot, RecordSectors, RecordSectors>;
+
+/// The flash of the firmware at the start.
+#[cfg(not(feature = "slot"))]
+pub(crate) const FIRMWARE: FirmwareFlash = RecordSectors::settings();
+#[cfg(feature = "slot")]
+pub(crate) const FIRMWARE: FirmwareFlash =
+    FirmwareFlash { settings: RecordSectors::settings(), updater: None };
+
+/// Returns the settings' sectors.
+pub(crate) const fn settings(flash: &mut FirmwareFlash) -> &mut RecordSectors {
+    #[cfg(feature = "slot")]
+    let flash = &mut flash.settings;
+    flash
+}
+
+/// Runs the pending operation of the firmware's flash, as [`RecordSectors::work`].
+pub(crate) fn work(flash: &mut FirmwareFlash) {
+    #[cfg(feature = "slot")]
+    if let Some(updater) = &mut flash.updater {
+        let (slot, state, trust) = updater.parts();
+        [&mut slot.sectors, state, trust].into_iter().for_each(RecordSectors::work);
+    }
+    settings(flash).work();
 }
 
 /// Two sectors for records, and a pending operation.
@@ -112,17 +146,16 @@ impl RecordSectors {
         }
     }
 
-    /// Erases the sector at this offset at once.
-    #[cfg(feature = "boot")]
-    pub(crate) fn erase(&mut self, at: u32) -> Result<(), FlashError> {
-        self.run(Operation::Erase(at))
+    /// Starts to erase the sector at this offset from the start of flash.
+    pub(crate) const fn begin_erase(&mut self, at: u32) {
+        self.operation = Operation::Erase(at);
     }
 
-    /// Programs the page at this offset at once.
-    #[cfg(feature = "boot")]
-    pub(crate) fn program(&mut self, at: u32, page: &[u8; PROGRAM_BYTES]) -> Result<(), FlashError> {
+    /// Starts to program the page at this offset from the start of flash.
+    #[cfg(any(feature = "boot", feature = "slot"))]
+    pub(crate) const fn begin_program(&mut self, at: u32, page: &[u8; PROGRAM_BYTES]) {
         self.page = *page;
-        self.run(Operation::Program(at))
+        self.operation = Operation::Program(at);
     }
 
     /// Returns the offset of a double word from the start of flash.
@@ -246,12 +279,15 @@ impl NorFlash for RecordSectors {
     }
 
     fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
-        self.operation = Operation::Erase(self.offset(page, 0).ok_or(FlashError::Failed)?);
+        self.begin_erase(self.offset(page, 0).ok_or(FlashError::Failed)?);
         Ok(())
     }
 
-    /// A read-back verifies the operation.
+    /// A read-back verifies the operation. A boot loader has nothing else to do, so it runs the operation here.
     fn poll(&mut self) -> nb::Result<(), FlashError> {
+        if cfg!(feature = "boot") {
+            self.work();
+        }
         match self.operation {
             Operation::Nothing => self.result.map_err(nb::Error::Other),
             _ => Err(nb::Error::WouldBlock),

@@ -36,7 +36,7 @@ use wsg_pico::NAME;
 
 use crate::board::Registers;
 use crate::can::Can;
-use crate::flash::RecordSectors;
+use crate::flash::FirmwareFlash;
 
 /// The second boot stage, which makes flash readable as memory. The boot ROM runs it. With a boot loader, that one contains it.
 #[cfg(not(feature = "slot"))]
@@ -50,7 +50,7 @@ fn main() -> ! {
     // Too large for the stack. `entry` makes this safe, because it runs only once.
     static mut STATION: Station<Can> =
         Station::new(CanBus::new(can::controller(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
-    static mut FLASH: RecordSectors = RecordSectors::settings();
+    static mut FLASH: FirmwareFlash = flash::FIRMWARE;
 
     let reset_cause = watchdog::reset_cause();
     // Started before any wait, so that a failed start resets the MCU.
@@ -63,9 +63,14 @@ fn main() -> ! {
         without_clock(|is_lit| led.indicate(is_lit), || cortex_m::asm::delay(clock::RESET_HZ / 1_000));
     }
     tick::start(&mut core.SYST);
+    let serial = flash::settings(FLASH).serial_number();
+    #[cfg(feature = "slot")]
+    {
+        FLASH.updater = flash::slots::updater();
+    }
     let board = Board {
         hardware: Registers { led, watchdog, nvic: core.NVIC },
-        id: BoardId { name: NAME, serial: FLASH.serial_number() },
+        id: BoardId { name: NAME, serial },
         wires,
         gripper: uart::line(),
         bus: &mut bus::line(),

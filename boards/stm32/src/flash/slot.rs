@@ -1,8 +1,8 @@
-//! The slots and the pages of the boot loader's records (`docs/decisions.md`, "Flash layout"), blocking. The boot loader runs
-//! from bank 1, too, so the core stalls while slot A is written.
+//! The slots, and the pages of the boot loader's records (`docs/decisions.md`, "Updates in the field"). The program stands still
+//! while its own bank is written: slot A, which the boot loader alone writes.
 
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use wsg_bridge_fw::storage::FlashError;
+use wsg_boot::PolledFlash;
+use wsg_bridge_fw::storage::{FlashError, Unreadable};
 use wsg_update::SLOT_LEN;
 
 use super::{DOUBLE_WORD_BYTES, FLASH_BANK_BYTES, FLASH_END, FLASH_START, PAGE_BYTES, RECORDS, RecordPages};
@@ -27,64 +27,52 @@ pub(crate) const B: Slot =
     Slot { start: FLASH_START + FLASH_BANK_BYTES, len: SLOT_LEN as usize + PAGE_BYTES };
 
 impl Slot {
-    /// Returns the address of these bytes.
-    fn address(&self, offset: u32, len: usize) -> Result<usize, NorFlashErrorKind> {
-        let end = (offset as usize).checked_add(len);
-        if end.is_none_or(|end| end > self.len) {
-            return Err(NorFlashErrorKind::OutOfBounds);
-        }
-        Ok(self.start.wrapping_add(offset as usize))
+    /// Returns the address of so many bytes at this offset.
+    fn address(&self, at: u32, len: usize) -> Option<usize> {
+        let is_inside = self.len.checked_sub(len).is_some_and(|last| at as usize <= last);
+        is_inside.then(|| self.start.wrapping_add(at as usize))
     }
 }
 
-/// Waits for the end of an operation. If it never ends, the watchdog resets the MCU.
-fn finish(started: Result<(), FlashError>) -> Result<(), NorFlashErrorKind> {
-    started.and_then(|()| nb::block!(super::poll())).map_err(|_| NorFlashErrorKind::Other)
-}
-
-impl ErrorType for Slot {
-    type Error = NorFlashErrorKind;
-}
-
-impl ReadNorFlash for Slot {
-    const READ_SIZE: usize = 4;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
-        let start = self.address(offset, bytes.len())?;
-        for (word, at) in bytes.chunks_mut(4).zip((start..).step_by(4)) {
-            let value = super::read(at & !(DOUBLE_WORD_BYTES - 1)).map_err(|_| NorFlashErrorKind::Other)?;
-            let half = value >> (8 * (at & 4));
-            for (byte, read) in word.iter_mut().zip(half.to_le_bytes()) {
-                *byte = read;
-            }
-        }
-        Ok(())
-    }
+impl PolledFlash for Slot {
+    const SECTOR_LEN: usize = PAGE_BYTES;
+    const UNIT_LEN: usize = DOUBLE_WORD_BYTES;
 
     fn capacity(&self) -> usize {
         self.len
     }
+
+    fn read(&self, at: u32) -> Result<u64, Unreadable> {
+        super::read(self.address(at, DOUBLE_WORD_BYTES).ok_or(Unreadable)?)
+    }
+
+    fn start_erase(&mut self, at: u32) -> Result<(), FlashError> {
+        super::start_erase(self.address(at, PAGE_BYTES).ok_or(FlashError::Failed)?)
+    }
+
+    fn start_program(&mut self, at: u32, unit: &[u8]) -> Result<(), FlashError> {
+        let at = self.address(at, DOUBLE_WORD_BYTES).ok_or(FlashError::Failed)?;
+        let value = unit.first_chunk().ok_or(FlashError::Failed)?;
+        super::start_program(at, u64::from_le_bytes(*value))
+    }
+
+    fn poll(&mut self) -> nb::Result<(), FlashError> {
+        super::poll()
+    }
 }
 
-impl NorFlash for Slot {
-    const WRITE_SIZE: usize = DOUBLE_WORD_BYTES;
-    const ERASE_SIZE: usize = PAGE_BYTES;
+/// Returns the boot loader's check of a signature, if there is a boot loader.
+#[cfg(feature = "slot")]
+pub(crate) fn verify() -> Option<wsg_boot::Verify> {
+    use core::ptr::with_exposed_provenance;
 
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
-        let len = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
-        let start = self.address(from, len)?;
-        (start..start.wrapping_add(len)).step_by(PAGE_BYTES).try_for_each(|at| finish(super::start_erase(at)))
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
-        let start = self.address(offset, bytes.len())?;
-        let (double_words, rest) = bytes.as_chunks();
-        if !rest.is_empty() || !start.is_multiple_of(DOUBLE_WORD_BYTES) {
-            return Err(NorFlashErrorKind::NotAligned);
-        }
-        double_words
-            .iter()
-            .zip((start..).step_by(DOUBLE_WORD_BYTES))
-            .try_for_each(|(bytes, at)| finish(super::start_program(at, u64::from_le_bytes(*bytes))))
-    }
+    let at = with_exposed_provenance::<usize>(FLASH_START + wsg_boot::VERIFY_AT);
+    // SAFETY: the address is in flash, aligned, and written by no code of this image.
+    let code = unsafe { at.read_volatile() };
+    let is_code = code & 1 == 1 && (FLASH_START..SLOT_A).contains(&code);
+    // SAFETY: every boot loader of this board has the address of a function of this type there, and nothing else starts an image
+    // in slot A. Without one, flash reads erased.
+    is_code.then(|| unsafe {
+        core::mem::transmute::<*const (), wsg_boot::Verify>(with_exposed_provenance(code))
+    })
 }
