@@ -108,6 +108,8 @@ pub struct Extras<'a> {
     pub models: Vec<Box<dyn RegisterModel>>,
     /// Additional QEMU arguments.
     pub qemu_arguments: &'a [&'a str],
+    /// QEMU: time until the firmware runs, if that may take longer than usual.
+    pub patience: Duration,
     /// Pico: the CAN bus of its MCP2515. Without it no chip is on the SPI.
     pub can: Option<CanBus<Mcp2515>>,
     /// Pico: file that stores the flash. Without it the flash is volatile.

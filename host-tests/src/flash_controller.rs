@@ -1,5 +1,5 @@
-//! Model of the flash interface of STM32L4 and STM32G4 (RM0351, RM0440, chapter 3): its registers, and the two settings pages
-//! in bank 2.
+//! Model of the flash interface of STM32L4 and STM32G4 (RM0351, RM0440, chapter 3): its registers, the pages of records at the
+//! end of bank 2 and, for a boot loader, both slots. QEMU itself serves loads from the slots.
 //!
 //! The text of RM0351 was not available. Registers and bits follow ST's register header for the STM32L475. The rules
 //! follow RM0440, whose dual-bank STM32G4 has the same interface under the same section numbers. Fast programming,
@@ -34,10 +34,10 @@ const OPTR: u32 = 0x20;
 /// What differs between microcontrollers.
 #[derive(Debug)]
 pub struct Layout {
-    /// The two settings pages: the last ones of the flash.
+    /// The pages of records: two each for rollback counter, boot loader's state and settings.
     memory: Range<u32>,
-    /// Number of the first settings page, with BKER above PNB.
-    first_page: u32,
+    /// Start of bank 2 and of slot B.
+    bank_two: u32,
     /// PNB in CR (3.7.6).
     pnb: u32,
     /// Bits of ACR (3.7.1), and their value after a reset.
@@ -52,8 +52,8 @@ pub struct Layout {
 impl Layout {
     /// STM32L475VG: 1 MiB.
     pub const STM32L475: Self = Self {
-        memory: 0x080F_F000..0x0810_0000,
-        first_page: 256 + 254,
+        memory: 0x080F_D000..0x0810_0000,
+        bank_two: 0x0808_0000,
         pnb: 0xFF << 3,
         acr: 0x0000_7F07,
         acr_reset: 0x0000_0600,
@@ -63,8 +63,8 @@ impl Layout {
 
     /// STM32G474RE: 512 KiB, in two banks.
     pub const STM32G474: Self = Self {
-        memory: 0x0807_F000..0x0808_0000,
-        first_page: 256 + 126,
+        memory: 0x0807_D000..0x0808_0000,
+        bank_two: 0x0804_0000,
         pnb: 0x7F << 3,
         acr: 0x0004_7F0F,
         acr_reset: 0x0004_0600,
@@ -72,6 +72,19 @@ impl Layout {
         optr: Some(0xFFEF_F8AA),
     };
 }
+
+/// Start of the flash.
+const START: u32 = 0x0800_0000;
+/// Start of slot A.
+const SLOT_A: u32 = START + 0x8000;
+const PAGE_BYTES: u32 = 8 * PAGE_LEN as u32;
+
+/// Numbers of pages: records, with the settings' last, then slot A, then slot B.
+const RECORDS: usize = 6;
+const SETTINGS: usize = 4;
+const IN_SLOT_A: usize = wsg_update::SLOT_LEN as usize / (8 * PAGE_LEN);
+const SLOT_B_AT: usize = RECORDS + IN_SLOT_A;
+const WITH_SLOTS: usize = SLOT_B_AT + IN_SLOT_A + 1;
 
 /// OPTR of the STM32G4 (RM0440, 3.7.8): two banks.
 const DBANK: u32 = 1 << 22;
@@ -179,6 +192,10 @@ struct Registers(Powered, Range<u32>);
 #[derive(Debug)]
 struct Memory(Powered, Range<u32>);
 
+/// A slot as seen by the core, which loads from QEMU's memory.
+#[derive(Debug)]
+struct Slot(Powered, Range<u32>);
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Lock {
     Locked,
@@ -192,7 +209,10 @@ enum Lock {
 struct State {
     layout: &'static Layout,
     optr: u32,
+    has_slots: bool,
     pages: FlashPages,
+    /// Bytes of slots to be written to QEMU's memory, and their addresses.
+    written: Vec<(u32, Vec<u8>)>,
     /// Double words with one wrong bit, which is corrected on reading.
     correctable: BTreeSet<usize>,
     acr: u32,
@@ -222,7 +242,9 @@ impl FlashController {
         Self(Arc::new(Mutex::new(State {
             layout,
             optr: layout.optr.unwrap_or(0),
-            pages: FlashPages::new(),
+            has_slots: false,
+            pages: FlashPages::of(WITH_SLOTS, PAGE_LEN),
+            written: Vec::new(),
             correctable: BTreeSet::new(),
             acr: layout.acr_reset,
             sr: 0,
@@ -243,11 +265,54 @@ impl FlashController {
         })))
     }
 
+    /// Creates flash with slots, of which A has this content and B is erased.
+    ///
+    /// # Panics
+    /// Panics when the content exceeds the slot.
+    #[must_use]
+    pub fn with_slots(layout: &'static Layout, a: &[u8]) -> Self {
+        let flash = Self::new(layout);
+        flash.lock().has_slots = true;
+        for (number, bytes) in a.chunks(8).enumerate() {
+            let mut double_word = [0xFF; 8];
+            double_word[..bytes.len()].copy_from_slice(bytes);
+            let operation = Operation::Program(
+                RECORDS + number / PAGE_LEN,
+                number % PAGE_LEN,
+                u64::from_le_bytes(double_word),
+            );
+            flash.lock().pages.apply(operation).expect("the slot is erased");
+        }
+        flash
+    }
+
+    /// Returns the addresses and the contents of both slots.
+    #[must_use]
+    pub fn slots(&self) -> [(u32, Vec<u8>); 2] {
+        let state = self.lock();
+        let content = |pages: Range<usize>| {
+            let places = pages.flat_map(|page| (0..PAGE_LEN).map(move |index| (page, index)));
+            places.flat_map(|(page, index)| state.pages.bits(page, index).to_le_bytes()).collect()
+        };
+        [(SLOT_A, content(RECORDS..SLOT_B_AT)), (state.layout.bank_two, content(SLOT_B_AT..WITH_SLOTS))]
+    }
+
     /// Returns the models of registers and pages, valid until the next [power cycle](Self::power_cycle).
     #[must_use]
     pub fn models(&self) -> Vec<Box<dyn RegisterModel>> {
-        let memory = self.lock().layout.memory.clone();
-        vec![Box::new(self.registers(FLASH..FLASH + LEN)), Box::new(Memory(self.powered(), memory))]
+        let (memory, has_slots) = {
+            let state = self.lock();
+            (state.layout.memory.clone(), state.has_slots)
+        };
+        let mut models: Vec<Box<dyn RegisterModel>> =
+            vec![Box::new(self.registers(FLASH..FLASH + LEN)), Box::new(Memory(self.powered(), memory))];
+        if has_slots {
+            models.extend(self.slots().map(|(start, bytes)| {
+                let addresses = start..start + bytes.len() as u32;
+                Box::new(Slot(self.powered(), addresses)) as Box<dyn RegisterModel>
+            }));
+        }
+        models
     }
 
     /// Returns the model of FLASH_ACR alone, for a board without the other models.
@@ -331,17 +396,17 @@ impl FlashController {
     /// Returns the stored double word; [`None`] if it is unreadable.
     #[must_use]
     pub fn double_word(&self, page: Page, index: usize) -> Option<u64> {
-        self.lock().pages.read(page as usize, index).ok()
+        self.lock().pages.read(SETTINGS + page as usize, index).ok()
     }
 
     /// Sets a double word; [`None`] makes it unreadable.
     pub fn set(&self, page: Page, index: usize, value: Option<u64>) {
-        self.lock().pages.set(page as usize, index, value);
+        self.lock().pages.set(SETTINGS + page as usize, index, value);
     }
 
     /// Gives a double word a correctable error: it reads correctly and sets ECCC.
     pub fn set_correctable(&self, page: Page, index: usize) {
-        self.lock().correctable.insert(number(page as usize, index));
+        self.lock().correctable.insert(number(SETTINGS + page as usize, index));
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -349,16 +414,43 @@ impl FlashController {
     }
 }
 
-/// Returns the index of a double word across both pages.
+/// Returns the index of a double word across all pages.
 const fn number(page: usize, index: usize) -> usize {
     page * PAGE_LEN + index
 }
 
 impl State {
-    /// Returns the double word at this address.
+    /// Returns the double word at this address in a page of the model.
     fn place(&self, address: u32) -> (usize, usize) {
-        let number = (address - self.layout.memory.start) as usize / 8;
-        (number / PAGE_LEN, number % PAGE_LEN)
+        let page =
+            self.page((address - START) / PAGE_BYTES).expect("QEMU stops in the pages of the model alone");
+        (page, (address % PAGE_BYTES) as usize / 8)
+    }
+
+    /// Returns the first page of records, slot A and slot B, counted from the start of the flash, and their numbers.
+    fn starts(&self) -> [(u32, Range<usize>); 3] {
+        let page = |address: u32| (address - START) / PAGE_BYTES;
+        [
+            (page(self.layout.memory.start), 0..RECORDS),
+            (page(SLOT_A), RECORDS..SLOT_B_AT),
+            (page(self.layout.bank_two), SLOT_B_AT..WITH_SLOTS),
+        ]
+    }
+
+    /// Returns the number of a page, counted from the start of the flash.
+    fn page(&self, of_flash: u32) -> Option<usize> {
+        let modelled = self.starts().into_iter().take(if self.has_slots { 3 } else { 1 });
+        modelled
+            .filter_map(|(start, pages)| Some((of_flash.checked_sub(start)? as usize, pages)))
+            .find_map(|(offset, pages)| (offset < pages.len()).then_some(pages.start + offset))
+    }
+
+    /// Returns the address of a page.
+    fn address(&self, page: usize) -> u32 {
+        let starts = self.starts();
+        let (start, pages) =
+            starts.iter().find(|(_, pages)| pages.contains(&page)).expect("a page of the model");
+        START + (*start + (page - pages.start) as u32) * PAGE_BYTES
     }
 
     /// Resets the interface and discards an operation in progress; [`FlashController::cut`] models partial ones.
@@ -475,22 +567,22 @@ impl State {
     }
 
     fn start_erase(&mut self) {
-        let number = (self.cr & self.layout.pnb) >> 3 | (self.cr & BKER) >> 3;
-        let page = match number.checked_sub(self.layout.first_page) {
+        let bank = if self.cr & BKER == 0 { 0 } else { (self.layout.bank_two - START) / PAGE_BYTES };
+        let page = match self.page(bank + ((self.cr & self.layout.pnb) >> 3)) {
             _ if self.cr & PER == 0 => {
                 self.forbidden("3.3.6: an erase was started without PER");
                 None
             }
             _ if self.has_stale_error() => None,
-            Some(page @ 0..2) => Some(page),
-            _ => {
-                self.forbidden(format!("CR {:#010X}: erase of a page outside the settings", self.cr));
+            None => {
+                self.forbidden(format!("CR {:#010X}: erase of a page outside of the model", self.cr));
                 None
             }
+            page => page,
         };
         match page {
             Some(page) => {
-                self.begin(Operation::Erase(page as usize), ERASE_TIME);
+                self.begin(Operation::Erase(page), ERASE_TIME);
                 self.erases += 1;
             }
             None => self.cr &= !STRT,
@@ -555,6 +647,13 @@ impl State {
         }
         if self.pages.apply(operation).is_err() {
             return self.fail(ErrorFlag::Programming);
+        }
+        let (page, bytes) = match operation {
+            Operation::Program(page, index, value) => (page, (8 * index, value.to_le_bytes().to_vec())),
+            Operation::Erase(page) => (page, (0, vec![0xFF; PAGE_BYTES as usize])),
+        };
+        if page >= RECORDS {
+            self.written.push((self.address(page) + bytes.0 as u32, bytes.1));
         }
         // 3.3.7: programming updates the cache, erasing does not.
         match operation {
@@ -692,6 +791,25 @@ impl RegisterModel for Memory {
             machine.raise_nmi()?;
         }
         Ok(value)
+    }
+}
+
+impl RegisterModel for Slot {
+    fn addresses(&self) -> Range<u32> {
+        self.1.clone()
+    }
+
+    fn loads_memory(&self) -> bool {
+        true
+    }
+
+    fn store_through(&mut self, address: u32, width: Width, value: u32, _: &mut dyn Machine) -> Result<()> {
+        self.0.state()?.store_memory(address, width, value);
+        Ok(())
+    }
+
+    fn take_written(&mut self) -> Vec<(u32, Vec<u8>)> {
+        self.0.state().map(|mut state| std::mem::take(&mut state.written)).unwrap_or_default()
     }
 }
 

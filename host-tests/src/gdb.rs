@@ -32,6 +32,9 @@ pub struct Gdb {
     packets: VecDeque<String>,
 }
 
+/// Bytes of a piece of memory that fits into a packet with its digits.
+const PART: usize = 1024;
+
 impl Gdb {
     /// Connects over `line`; an answer that takes longer than `patience` is an error.
     ///
@@ -42,12 +45,12 @@ impl Gdb {
         Ok(Self { line, patience, received: Vec::new(), packets: VecDeque::new() })
     }
 
-    /// Stops the machine before each load and store in this range. QEMU accepts any length.
+    /// Stops the machine before each load and store in this range, or before each store only. QEMU accepts any length.
     ///
     /// # Errors
     /// Fails when QEMU rejects the watchpoint or does not answer.
-    pub fn watch(&mut self, first: u32, len: u32) -> Result<()> {
-        self.command(&format!("Z4,{first:x},{len:x}"))
+    pub fn watch(&mut self, first: u32, len: u32, stores_only: bool) -> Result<()> {
+        self.command(&format!("Z{},{first:x},{len:x}", if stores_only { 2 } else { 4 }))
     }
 
     /// Reads the core registers and pieces of memory (address, length) consistently, in one round trip.
@@ -77,6 +80,18 @@ impl Gdb {
     pub fn read_memory(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
         self.send(&[&format!("m{address:x},{len:x}")])?;
         self.reported_memory(address, len)
+    }
+
+    /// Writes memory of the stopped machine, even a ROM.
+    ///
+    /// # Errors
+    /// Fails when QEMU rejects it or does not answer.
+    pub fn write_memory(&mut self, address: u32, bytes: &[u8]) -> Result<()> {
+        for (part, at) in bytes.chunks(PART).zip((address..).step_by(PART)) {
+            let digits: String = part.iter().map(|byte| format!("{byte:02x}")).collect();
+            self.command(&format!("M{at:x},{:x}:{digits}", part.len()))?;
+        }
+        Ok(())
     }
 
     /// Resumes the machine.

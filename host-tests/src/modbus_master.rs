@@ -237,7 +237,7 @@ impl Master {
 fn length(answer: &[u8]) -> usize {
     match answer[1] {
         0x80.. => 5,
-        1..=4 | 23 => 5 + usize::from(answer[2]),
+        1..=4 | 21 | 23 => 5 + usize::from(answer[2]),
         22 => 10,
         _ => 8,
     }

@@ -84,6 +84,16 @@ pub trait RegisterModel: fmt::Debug + Send {
     /// Handles a reset of the machine.
     fn reset(&mut self) {}
 
+    /// Returns whether the core loads from QEMU's memory, and only its stores are served.
+    fn loads_memory(&self) -> bool {
+        false
+    }
+
+    /// Returns bytes to be written to QEMU's memory now, even to a ROM, and their addresses.
+    fn take_written(&mut self) -> Vec<(u32, Vec<u8>)> {
+        Vec::new()
+    }
+
     /// Returns how the firmware is to hang after this access, if at all.
     fn derailment(&mut self) -> Option<Derailment> {
         None
@@ -193,7 +203,7 @@ impl Registers {
     ) -> Result<Self> {
         for model in &models {
             let Range { start, end } = model.addresses();
-            gdb.watch(start, end - start)?;
+            gdb.watch(start, end - start, model.loads_memory())?;
         }
         let (code, levels) = (HashMap::new(), HashMap::new());
         Ok(Self { gdb, models, milliseconds_at, after_reset, code, levels })
@@ -240,6 +250,9 @@ impl Registers {
             self.set_interrupts(machine)?;
             if let Some(how) = self.models.iter_mut().find_map(|model| model.derailment()) {
                 derail(how, &mut registers, machine)?;
+            }
+            for (address, bytes) in self.models.iter_mut().flat_map(|model| model.take_written()) {
+                self.gdb.write_memory(address, &bytes)?;
             }
             self.gdb.run_from(&registers)?;
         }

@@ -46,6 +46,16 @@ fn start_with(prescaler: Pr) -> Watchdog {
     watchdog
 }
 
+/// Sets five times the time-out for a check of a signature, or the usual one again, and restarts it.
+#[cfg(feature = "slot")]
+pub(crate) fn set_patient(is_patient: bool) {
+    IWDG.kr().write_value(KEY_UNLOCK);
+    IWDG.rlr().write(|w| w.0 = if is_patient { 0xFFF } else { RELOAD });
+    // The value is accepted within some cycles of 32 kHz. If it never is, the watchdog resets the MCU.
+    let _ = (0..MAX_READS).any(|_| IWDG.sr().read().0 == 0);
+    Watchdog(()).feed();
+}
+
 impl Watchdog {
     /// Restarts the time-out. Call it only from the main loop; in an interrupt handler it would not detect a stalled main
     /// loop.

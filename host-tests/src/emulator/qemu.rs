@@ -124,7 +124,7 @@ impl Qemu {
         if let Some((gdb, models, clock_address)) = models {
             qemu.serve(Registers::new(gdb, models, clock_address, board.after_reset)?, watch)?;
         }
-        let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
+        let running = watch.wait(PATIENCE.max(extras.patience), |seen| seen.is_served).map(drop);
         running.with_context(|| format!("no firmware for this board starts from {}", elf.display()))?;
         // QEMU connected before the firmware started, so accepting does not block.
         let [gripper, bus, service] = LINES.map(|name| sockets.accept(name).map(Some));

@@ -4,7 +4,7 @@
 use super::*;
 use crate::registers::tests::Core;
 
-const FIRST: u32 = Layout::STM32L475.memory.start;
+const FIRST: u32 = Layout::STM32L475.memory.start + SETTINGS as u32 * PAGE_BYTES;
 const SECOND: u32 = FIRST + 0x800;
 
 /// Returns the register block.
@@ -139,7 +139,7 @@ fn no_operation_starts_while_an_error_flag_is_set() {
 #[test]
 fn a_forbidden_erase_is_recorded_and_has_no_effect() {
     // Without BKER, and the neighbouring pages.
-    for number in [254, 255, 509, 0] {
+    for number in [254, 255, 505, 0] {
         let flash = ready();
         flash.set(Page::First, 0, Some(7));
         erase(&flash, number);

@@ -13,7 +13,11 @@ use wsg_bridge_fw::usb_serial::{self, Answer, PACKET_LEN};
 use crate::registers::{peripheral, reset, reset_bit, write};
 use crate::tick;
 
-static SERVICE: RtuBuffers = RtuBuffers::new();
+static SERVICE: RtuBuffers<RECEIVED_MAX> = RtuBuffers::new();
+
+/// Bytes of the queue for received characters, three each. USB transfers the longest frame of 256 characters within a turn of the
+/// main loop.
+const RECEIVED_MAX: usize = 1024;
 
 /// The controller's shared memory: setup packet, endpoint controls, buffer controls and buffers.
 const DPRAM: usize = 0x5010_0000;
@@ -62,7 +66,7 @@ const FORCE_VBUS: u32 = 1 << 2 | 1 << 3;
 const CONTROLLER_ON: u32 = 1 << 0;
 
 /// The bridge's end of the service port.
-pub(crate) type ServiceLine = RtuPort<Usb>;
+pub(crate) type ServiceLine = RtuPort<Usb, RECEIVED_MAX>;
 
 /// Returns the service port's line. Call it once.
 pub(crate) const fn service_line() -> ServiceLine {

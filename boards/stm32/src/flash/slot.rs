@@ -61,9 +61,28 @@ impl PolledFlash for Slot {
     }
 }
 
-/// Returns the boot loader's check of a signature, if there is a boot loader.
+/// Returns the check of a signature by the boot loader's code, if there is a boot loader.
 #[cfg(feature = "slot")]
 pub(crate) fn verify() -> Option<wsg_boot::Verify> {
+    boot_loader().map(|_| verify_patiently as _)
+}
+
+/// The check takes about 60 ms at 80 MHz, near the time-out of the watchdog.
+#[cfg(feature = "slot")]
+extern "C" fn verify_patiently(
+    key: &wsg_update::PublicKey,
+    digest: &[u8; 64],
+    signature: &[u8; wsg_update::SIGNATURE_LEN],
+) -> bool {
+    crate::watchdog::set_patient(true);
+    let is_right = boot_loader().is_some_and(|verify| verify(key, digest, signature));
+    crate::watchdog::set_patient(false);
+    is_right
+}
+
+/// Returns the boot loader's check of a signature.
+#[cfg(feature = "slot")]
+fn boot_loader() -> Option<wsg_boot::Verify> {
     use core::ptr::with_exposed_provenance;
 
     let at = with_exposed_provenance::<usize>(FLASH_START + wsg_boot::VERIFY_AT);

@@ -1,32 +1,54 @@
-//! The boot loader of a board in QEMU: it starts a signed image in slot A, and stays in the safe state with a damaged one.
-//!
-//! QEMU's flash cannot be written, so slots and records keep their contents: no record, and nothing to exchange.
+//! The boot loader of a board in QEMU: it starts a signed image in slot A, and stays in the safe state with a damaged one. With a
+//! model of the flash, the firmware receives an image, and the boot loader exchanges the slots.
 
 use std::fmt::Write;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 use footprint::bytes_of_flash;
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::rig::Rig;
+use host_tests::extent;
+use host_tests::flash_controller::FlashController;
+use host_tests::modbus_master::Master;
+use host_tests::registers::RegisterModel;
+use host_tests::rig::{PATIENCE, Rig};
 use host_tests::trace::Trace;
 use object::read::elf::{ElfFile32, ProgramHeader};
 use object::{Endianness, Object, ObjectSection};
 use rustix::process::{Pid, Signal, kill_process};
 use wsg_bridge_fw::io::Outputs;
+use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, FIRST_COMMAND};
 use wsg_sim::Config;
 use wsg_stm32::{Port, output_pins};
 use wsg_update::sign::{SigningKey, file};
 use wsg_update::{LENGTH_AT, Manifest, SIGNATURE_LEN, SLOT_LEN, Target, Version};
 
-use super::Board;
+use super::{Board, wait_until};
 
 const BOOT: &str = "WSG_BOOT_ELF";
 const SLOT: &str = "WSG_SLOT_ELF";
 const BOOT_AT: u32 = 0x0800_0000;
 const SLOT_AT: u32 = 0x0800_8000;
+
+/// Bytes of a request with file records.
+const BLOCK_LEN: usize = 200;
+
+/// Time for the exchange of the slots in QEMU.
+const EXCHANGE_TIME: Duration = Duration::from_secs(900);
+
+/// Bytes of a file of records.
+const FILE_LEN: u32 = 20_000;
+
+fn name(board: Board) -> &'static str {
+    match board.0 {
+        "" => "b-l475e-iot01a",
+        "_NUCLEO" => "nucleo-g474re",
+        _ => "pico",
+    }
+}
 
 /// Files of a test, removed at its end.
 struct Folder(PathBuf);
@@ -74,12 +96,13 @@ fn intel_hex(address: u32, bytes: &[u8]) -> String {
 }
 
 /// Returns the flash contents of an image for slot A, with zeros between its parts, as QEMU has them.
-fn program(elf: &[u8]) -> Vec<u8> {
+fn program(board: Board, elf: &[u8]) -> Vec<u8> {
+    let slot = if board.1.is_some() { SLOT_AT } else { 0x1000_8000 };
     let file = ElfFile32::<Endianness>::parse(elf).unwrap();
     let mut program = Vec::new();
     for header in file.elf_program_headers() {
         let (at, data) = (header.p_paddr.get(file.endian()), header.data(file.endian(), elf).unwrap());
-        if let Some(at) = at.checked_sub(SLOT_AT).filter(|at| *at < SLOT_LEN && !data.is_empty()) {
+        if let Some(at) = at.checked_sub(slot).filter(|at| *at < SLOT_LEN && !data.is_empty()) {
             let end = at as usize + data.len();
             program.resize(end.max(program.len()), 0);
             program[at as usize..end].copy_from_slice(data);
@@ -88,41 +111,169 @@ fn program(elf: &[u8]) -> Vec<u8> {
     program
 }
 
-/// Returns the signed file of a board's image for slot A.
-fn signed(board: &str, elf: &[u8]) -> Vec<u8> {
-    let program = program(elf);
-    let target = Target::of(board);
-    let manifest = Manifest { target, version: Version([1, 0, 0]), length: 0, counter: 0, successor: None };
+/// Returns the signed file of a board's image for slot A, with this patch level.
+fn signed(board: Board, elf: &[u8], patch: u8) -> Vec<u8> {
+    let program = program(board, elf);
+    let target = Target::of(name(board));
+    let version = Version([1, 0, patch]);
+    let manifest = Manifest { target, version, length: 0, counter: 0, successor: None };
     file(&program, manifest, &SigningKey::from_bytes(&[2; 32])).unwrap()
 }
 
-fn name(board: Board) -> &'static str {
-    if board.0.is_empty() { "b-l475e-iot01a" } else { "nucleo-g474re" }
+/// A board with a boot loader and a signed image in slot A.
+struct Plant {
+    folder: Folder,
+    board: Board,
+    /// The program that starts, in which the harness finds symbols: of a board in QEMU the image, of the Pico the boot loader.
+    elf: PathBuf,
+    /// The length of the part of the ELF file in slot A.
+    end: usize,
+    old: Vec<u8>,
+    new: Vec<u8>,
+    flash: Flash,
 }
 
-/// The harness finds the firmware's symbols in the ELF file that it starts, so this is the signed image without its end.
+/// Flash that survives a reset.
+enum Flash {
+    Qemu(FlashController),
+    Pico(PathBuf),
+}
+
+impl Plant {
+    fn new(board: Board, test: &str) -> Self {
+        let folder = Folder::new(&format!("{test}-{}", name(board)));
+        let mut elf = fs::read(board.image(SLOT)).unwrap();
+        let [old, new] = [0, 1].map(|patch| signed(board, &elf, patch));
+        let path = folder.0.join("image.elf");
+        if board.1.is_none() {
+            let mut flash = vec![0xFF; 2 << 20];
+            flash[0x8000..][..old.len()].copy_from_slice(&old);
+            let file = folder.0.join("flash");
+            fs::write(&file, flash).unwrap();
+            return Self {
+                folder,
+                board,
+                elf: board.image(BOOT),
+                end: 0,
+                old,
+                new,
+                flash: Flash::Pico(file),
+            };
+        }
+        let file = object::File::parse(&*elf).unwrap();
+        let (table, _) = file.section_by_name(".vector_table").unwrap().file_range().unwrap();
+        let length_at = table as usize + LENGTH_AT;
+        elf[length_at..length_at + 4].copy_from_slice(&old[LENGTH_AT..LENGTH_AT + 4]);
+        fs::write(&path, &elf).unwrap();
+        let flash = Flash::Qemu(FlashController::with_slots(&board.in_qemu().flash, &old));
+        Self { folder, board, elf: path, end: program(board, &elf).len(), old, new, flash }
+    }
+
+    /// Returns the content of slot A.
+    fn slot_a(&self) -> Vec<u8> {
+        match &self.flash {
+            Flash::Qemu(flash) => flash.slots()[0].1.clone(),
+            Flash::Pico(file) => fs::read(file).unwrap()[0x8000..].to_vec(),
+        }
+    }
+
+    /// Starts the board, with a gripper and a master on the service port.
+    fn power_up(&self) -> (Rig, Master) {
+        let emulator = match &self.flash {
+            Flash::Qemu(flash) => {
+                flash.power_cycle();
+                self.start_in_qemu(&flash.slots(), flash.models())
+            }
+            Flash::Pico(file) => {
+                Emulator::start_with(&self.elf, Extras { flash: Some(file), ..Extras::default() }).unwrap()
+            }
+        };
+        let mut rig = Rig::of(emulator, None, Config::default(), Trace::new(vec![])).unwrap();
+        await_link(&rig);
+        let line = rig.board_mut().take_service_line().unwrap();
+        let master = Master::new(line, rig.board().clock(), 1);
+        (rig, master)
+    }
+
+    fn start_in_qemu(&self, slots: &[(u32, Vec<u8>)], models: Vec<Box<dyn RegisterModel>>) -> Emulator {
+        let boot = bytes_of_flash(&fs::read(self.board.image(BOOT)).unwrap()).unwrap();
+        let mut loaders = vec![self.folder.loader("boot.hex", BOOT_AT, &boot)];
+        for (address, bytes) in slots {
+            // QEMU loads the image itself.
+            let skipped = if *address == SLOT_AT { self.end } else { 0 };
+            let name = format!("{address:X}.hex");
+            loaders.push(self.folder.loader(&name, address + skipped as u32, &bytes[skipped..]));
+        }
+        let arguments: Vec<_> = loaders.iter().flat_map(|loader| ["-device", loader]).collect();
+        let extras =
+            Extras { qemu_arguments: &arguments, models, patience: EXCHANGE_TIME, ..Extras::default() };
+        Emulator::start_with(&self.elf, extras).unwrap()
+    }
+}
+
+/// Waits for the gripper: the boot loader and the firmware have started.
+fn await_link(rig: &Rig) {
+    rig.board().wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+}
+
 fn boot_loader_starts_a_signed_image(board: Board) {
-    let folder = Folder::new(name(board));
-    let mut elf = fs::read(board.image(SLOT)).unwrap();
-    let signed = signed(name(board), &elf);
-    let table =
-        object::File::parse(&*elf).unwrap().section_by_name(".vector_table").unwrap().file_range().unwrap();
-    let length_at = table.0 as usize + LENGTH_AT;
-    elf[length_at..length_at + 4].copy_from_slice(&signed[LENGTH_AT..LENGTH_AT + 4]);
-    let image = folder.0.join("image.elf");
-    fs::write(&image, &elf).unwrap();
-    let end = program(&elf).len();
-    let boot = bytes_of_flash(&fs::read(board.image(BOOT)).unwrap()).unwrap();
-    let loaders = [
-        folder.loader("boot.hex", BOOT_AT, &boot),
-        folder.loader("end.hex", SLOT_AT + end as u32, &signed[end..]),
-    ];
-    let arguments = ["-device", &loaders[0], "-device", &loaders[1]];
-    let extras = Extras { qemu_arguments: &arguments, ..Extras::default() };
-    let emulator = Emulator::start_with(&image, extras).unwrap();
-    let rig = Rig::of(emulator, None, Config::default(), Trace::new(vec![])).unwrap();
-    let has_link = |outputs: Outputs| outputs.contains(Outputs::LINK_OK);
-    rig.board().wait_outputs(host_tests::rig::PATIENCE, has_link).unwrap();
+    let plant = Plant::new(board, "start");
+    let emulator = plant.start_in_qemu(&[(SLOT_AT, plant.old.clone())], Vec::new());
+    await_link(&Rig::of(emulator, None, Config::default(), Trace::new(vec![])).unwrap());
+}
+
+/// A file replaces the image over the service port, with the drivers of flash and boot loader that are delivered.
+///
+/// In QEMU, each access to the flash takes 0.1 ms, and the exchange minutes. So except in `cargo xtask ci`, the test ends after some
+/// pages.
+fn image_is_received_exchanged_and_confirmed(board: Board) {
+    let plant = Plant::new(board, "update");
+    let (rig, mut master) = plant.power_up();
+    let report = |master: &mut Master, name: &str| master.report(name).unwrap();
+    let halves = ["HIGH", "LOW"].map(|half| report(&mut master, &format!("UPDATE_BOARD_{half}")));
+    let number = Target::of(name(board)).number();
+    assert_eq!(halves, [(number >> 16) as u16, number as u16]);
+    let is_whole = extent::is_whole() || matches!(plant.flash, Flash::Pico(_));
+    let began = Instant::now();
+    for (block, at) in plant.new.chunks(BLOCK_LEN).zip((0..).step_by(BLOCK_LEN)) {
+        let [_, f, r1, r0] = (at / FILE_LEN << 16 | at % FILE_LEN / 2).to_be_bytes();
+        let len = block.len() as u8;
+        let pdu = [&[21, 7 + len, 6, 0, 1 + f, r1, r0, 0, len / 2], block].concat();
+        assert_eq!(master.ask(&pdu).unwrap(), pdu, "{at}");
+        if let (Flash::Qemu(flash), false, 5_000..) = (&plant.flash, is_whole, at) {
+            assert!(flash.slots()[1].1.starts_with(&plant.new[..at as usize & !0xFF]));
+            assert!(flash.violations().is_empty(), "{:?}", flash.violations());
+            return;
+        }
+    }
+    println!("transfer of {} bytes: {:.1?}", plant.new.len(), began.elapsed());
+    let command =
+        |name: &str| FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).unwrap() as u16;
+    master.write(command("UPDATE_CHECK"), &[COMMAND_KEY]).unwrap();
+    let state = wait_until("the check to end", || report(&mut master, "UPDATE_STATE"), |state| *state != 2);
+    assert_eq!((state, report(&mut master, "UPDATE_REFUSAL")), (3, 0));
+    println!("with the check: {:.1?}", began.elapsed());
+    master.write(command("UPDATE_RESTART"), &[COMMAND_KEY]).unwrap();
+    // The emulator ends at the reset.
+    wait_until("a reset", || rig.board().now_ms().is_err(), |ended| *ended);
+    drop(rig);
+    assert!(plant.slot_a().starts_with(&plant.old), "only the boot loader exchanges the slots");
+
+    let began = Instant::now();
+    let (rig, mut master) = plant.power_up();
+    println!("start with the exchange: {:.1?}", began.elapsed());
+    assert!(plant.slot_a().starts_with(&plant.new));
+    let save = [&[6][..], &command("SAVE").to_be_bytes(), &COMMAND_KEY.to_be_bytes()].concat();
+    assert_eq!(master.ask(&save).unwrap(), [0x86, 6], "on trial");
+    wait_until("the confirmation", || master.ask(&save).unwrap(), |answer| answer[0] == 6);
+    wait_until("the save to end", || report(&mut master, "SAVE_STATE"), |state| *state != 1);
+    drop(rig);
+    let (_rig, mut master) = plant.power_up();
+    assert!(plant.slot_a().starts_with(&plant.new), "confirmed");
+    assert_eq!(report(&mut master, "SETTINGS_FROM"), 1, "stored");
+    if let Flash::Qemu(flash) = &plant.flash {
+        assert!(flash.violations().is_empty(), "{:?}", flash.violations());
+    }
 }
 
 /// Returns the register and the value of a line of QEMU's trace of writes to this port.
@@ -137,7 +288,7 @@ fn write_to(line: &str, port: char) -> Option<(u32, u32)> {
 
 fn damaged_image_stays_in_the_boot_loader_with_outputs_low(board: Board) {
     let folder = Folder::new(&format!("damaged-{}", name(board)));
-    let mut file = signed(name(board), &fs::read(board.image(SLOT)).unwrap());
+    let mut file = signed(board, &fs::read(board.image(SLOT)).unwrap(), 0);
     let at = file.len() - SIGNATURE_LEN - 1_000;
     file[at] ^= 1;
     // `timeout` ends QEMU even if it writes nothing, and forwards the signal below.
@@ -173,3 +324,9 @@ on_every_board!(board_in_qemu =>
     boot_loader_starts_a_signed_image,
     damaged_image_stays_in_the_boot_loader_with_outputs_low,
 );
+
+mod updates {
+    use super::*;
+
+    on_every_board!(board => image_is_received_exchanged_and_confirmed);
+}

@@ -82,13 +82,24 @@ impl PolledFlash for Slot {
 #[cfg(feature = "slot")]
 pub(crate) fn updater() -> Option<wsg_boot::Updater<Slot, RecordSectors, RecordSectors>> {
     let restart = || crate::watchdog::reset();
-    let firmware = wsg_boot::Firmware::of(&a(), ID, verify(), restart)?;
+    let firmware = wsg_boot::Firmware::of(&a(), ID, boot_loader().map(|_| verify as _), restart)?;
     Some(wsg_boot::Updater::new(b(), state(), trust(), firmware))
+}
+
+/// Checks a signature by the boot loader's code. That takes 0.3 s, less than the longest erase.
+#[cfg(feature = "slot")]
+extern "C" fn verify(
+    key: &wsg_update::PublicKey,
+    digest: &[u8; 64],
+    signature: &[u8; wsg_update::SIGNATURE_LEN],
+) -> bool {
+    crate::watchdog::wait_for_flash();
+    boot_loader().is_some_and(|verify| verify(key, digest, signature))
 }
 
 /// Returns the boot loader's check of a signature, if there is a boot loader.
 #[cfg(feature = "slot")]
-fn verify() -> Option<wsg_boot::Verify> {
+fn boot_loader() -> Option<wsg_boot::Verify> {
     use core::ptr::with_exposed_provenance;
 
     let at = with_exposed_provenance::<usize>(FLASH_AT + 0x100 + wsg_boot::VERIFY_AT);
