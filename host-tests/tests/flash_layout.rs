@@ -7,7 +7,7 @@ use std::ops::Range;
 use document::{hold, read};
 
 /// Bytes for the boot loader, at the start of flash.
-const BOOT: u64 = 32 * 1024;
+const BOOT: u64 = wsg_update::BOOT_LEN as u64;
 
 /// Bytes of a slot after the program.
 const MANIFEST_AND_SIGNATURE: u64 = (wsg_update::Manifest::LEN + wsg_update::SIGNATURE_LEN) as u64;

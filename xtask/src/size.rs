@@ -40,7 +40,7 @@ const C_LIBRARY: [(&str, &[&str], u64); 2] = [
 const C_RAM_LIMIT: u64 = 640;
 
 /// Flash limit of the boot loaders: their part of the flash.
-pub(crate) const BOOT_LOADER_LIMIT: u64 = 32 * 1024;
+const BOOT_LOADER_LIMIT: u64 = wsg_update::BOOT_LEN as u64;
 
 /// Returns all gates.
 pub(crate) fn of_all(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {

@@ -6,14 +6,13 @@ use anyhow::{Context, Result, ensure};
 use boards::Board;
 use footprint::{bytes_of_flash, range_of_flash, uf2_of};
 use wsg_update::{
-    Check, Keys, Manifest, Rules, Target, Version,
+    BOOT_LEN, Check, Keys, Manifest, Rules, Target, Version,
     sign::{self, SigningKey},
 };
 
 use crate::{
     firmware::{self, Image},
     setup::ThumbToolchain,
-    size::BOOT_LOADER_LIMIT,
 };
 
 /// Environment variable that names the file of the private key.
@@ -103,13 +102,12 @@ fn signing_key(file: Option<PathBuf>, keys: Keys) -> Result<SigningKey> {
 
 /// Returns the address and the contents of the flash from the boot loader up to the signed image.
 fn combined((at, mut bytes): (u32, Vec<u8>), slot_at: u32, update: &[u8]) -> Result<(u32, Vec<u8>)> {
-    let len = BOOT_LOADER_LIMIT as usize;
     ensure!(
-        bytes.len() <= len && slot_at.checked_sub(at) == Some(len as u32),
-        "the boot loader at {at:08X}h has {} bytes, and slot A is at {slot_at:08X}h; expected {len} bytes between",
+        bytes.len() <= BOOT_LEN as usize && slot_at.checked_sub(at) == Some(BOOT_LEN),
+        "the boot loader at {at:08X}h has {} bytes, and slot A is at {slot_at:08X}h; expected {BOOT_LEN} bytes between",
         bytes.len()
     );
-    bytes.resize(len, 0xFF);
+    bytes.resize(BOOT_LEN as usize, 0xFF);
     bytes.extend_from_slice(update);
     Ok((at, bytes))
 }
