@@ -167,7 +167,11 @@ mod tests {
         for board in &BOARDS {
             let (manual, start) = (manual_of(board), start_here(board, false, true, true));
             for other in BOARDS.iter().filter(|other| *other != board) {
-                assert!(check(other, &manual, &start_here(other, false, true, true)).is_err(), "{}", other.name);
+                assert!(
+                    check(other, &manual, &start_here(other, false, true, true)).is_err(),
+                    "{}",
+                    other.name
+                );
             }
             // A pin, a connector, a file, an instruction, a part: one of each that belongs to another board.
             let wrong = match board.name {
