@@ -549,10 +549,7 @@ fn update_is_checked_sent_with_repeats_continued_and_started() {
     let (file, foreign) = (write("image", &image), write("foreign", &signed(1_000, "pico", running)));
     let (damaged, other) =
         (write("damaged", &flipped), write("other", &signed(2_000, BOARD.name, [9, 9, 9])));
-    // SubjectPublicKeyInfo of Ed25519 (RFC 8410).
-    let info = [0x30, 0x2A, 0x30, 5, 6, 3, 0x2B, 0x65, 0x70, 3, 0x21, 0];
-    let pem = |key: [u8; 32]| pem::encode(&pem::Pem::new("PUBLIC KEY", [&info[..], &key].concat()));
-    let [first, second] = keys().map(pem);
+    let [first, second] = keys().map(|key| wsg_update::sign::public_pem(&key));
     let (first, second) = (write("first", first.as_bytes()), write("second", second.as_bytes()));
 
     served.refused(&["update", &file, "--yes"], "the bridge has no boot loader for updates; ");

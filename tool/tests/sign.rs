@@ -28,8 +28,10 @@ impl Folder {
         let files = [self.path(name), self.path(&format!("{name}.pub"))];
         let output = wsg(&["bridge", "keygen", &files[0]], b"");
         assert!(output.status.success(), "{}", printed(&output));
-        let public = pem::parse(fs::read(&files[1]).unwrap()).unwrap();
-        (files, *public.contents().last_chunk().unwrap())
+        let public = wsg_update::sign::public_key(&fs::read(&files[1]).unwrap()).unwrap();
+        let digits: String = public.iter().map(|byte| format!("{byte:02x}")).collect();
+        assert!(printed(&output).contains(&format!("public key {digits}")), "{}", printed(&output));
+        (files, public)
     }
 }
 
@@ -82,13 +84,7 @@ fn signed_image_is_that_of_its_board_and_wrong_requests_are_refused_by_name() {
 
     let file = fs::read(&signed).unwrap();
     let rules = Rules { target: Target::of("pico"), keys: Keys { first, second: [0; 32] }, counter: 4 };
-    let mut slot = &file[..];
-    let mut check = Check::begin(&mut slot, rules).unwrap();
-    let manifest = loop {
-        if let Some(manifest) = check.step(&mut slot).unwrap() {
-            break manifest;
-        }
-    };
+    let manifest = Check::whole(&mut &file[..], rules).unwrap();
     let successor = Some(second);
     assert_eq!(
         manifest,

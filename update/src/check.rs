@@ -49,6 +49,18 @@ impl Keys {
         first: parse("8a88e3dd7409f195fd52db2d3cba5d72ca6709bf1d94121bf3748801b40f6f5c"),
         second: parse("8139770ea87d175f56a35466c34c7ecccb8d8a91b4ee37a25df60f5b8fc9b394"),
     };
+
+    /// Returns whether a board trusts images signed with this key.
+    #[must_use]
+    pub fn contain(&self, key: &PublicKey) -> bool {
+        [self.first, self.second].contains(key)
+    }
+
+    /// Returns whether anybody can sign for a board with these keys, because one of them is a test key.
+    #[must_use]
+    pub fn contain_test_key(&self) -> bool {
+        self.contain(&Self::TEST.first) || self.contain(&Self::TEST.second)
+    }
 }
 
 const fn given(digits: Option<&str>, default: PublicKey) -> PublicKey {
@@ -168,6 +180,19 @@ pub struct Check {
 impl Check {
     /// Bytes per step: a block of SHA-512.
     pub const BLOCK_LEN: usize = 128;
+
+    /// Checks an image at once.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn whole(slot: &mut impl SlotReader, rules: Rules) -> Result<Manifest, Refusal> {
+        let mut check = Self::begin(slot, rules)?;
+        loop {
+            if let Some(manifest) = check.step(slot)? {
+                return Ok(manifest);
+            }
+        }
+    }
 
     /// Checks everything but the signature.
     ///

@@ -63,6 +63,9 @@ pub type PublicKey = [u8; 32];
 /// Bytes of a signature, which follows the image.
 pub const SIGNATURE_LEN: usize = 64;
 
+/// Bytes of flash for the boot loader, from the start of flash to slot A.
+pub const BOOT_LEN: u32 = 32 * 1024;
+
 /// Bytes of a slot: the limit of a file. The linker checks the program alone (`boards/update-slot.x`).
 pub const SLOT_LEN: u32 = 192 * 1024;
 

@@ -27,13 +27,7 @@ fn program(len: usize) -> Vec<u8> {
 }
 
 fn checked(slot: &[u8], rules: Rules) -> Result<Manifest, Refusal> {
-    let mut slot = slot;
-    let mut check = Check::begin(&mut slot, rules)?;
-    loop {
-        if let Some(manifest) = check.step(&mut slot)? {
-            return Ok(manifest);
-        }
-    }
+    Check::whole(&mut &*slot, rules)
 }
 
 #[test]

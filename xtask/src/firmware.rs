@@ -133,7 +133,8 @@ fn file_name(Variant { board, features, settings }: &Variant) -> String {
     name + ".elf"
 }
 
-fn keep(board: &'static Board, bytes: &[u8], kept: &Path) -> Result<Image> {
+/// Writes a file for a board.
+pub(crate) fn keep(board: &'static Board, bytes: &[u8], kept: &Path) -> Result<Image> {
     let write = || {
         fs::create_dir_all(kept.parent().unwrap_or(Path::new(".")))?;
         // Replace the file atomically, because an emulator or a probe may be reading the old image.

@@ -24,6 +24,7 @@ mod size;
 mod stack;
 mod test;
 mod tool;
+mod updates;
 mod web;
 mod workspace;
 
@@ -49,6 +50,9 @@ Environment:
                      targets that it installed, and build for them with Debian's Rust packages
   CI                 if set, disables incremental compilation (CARGO_INCREMENTAL=0)
   WSG_SIGNING_KEY    key of gpg with which release signs the checksums
+  WSG_UPDATE_KEY     file of the private key that signs images (build --updates, release)
+  WSG_FIRST_KEY      public keys in the boot loader, 64 hexadecimal digits as printed by
+  WSG_SECOND_KEY     `wsg bridge keygen`. Without these three, a test key signs
   CARGO_TARGET_DIR   build folder (default: target); images are in its subfolder firmware
 
 Set-up does nothing if all prerequisites are present. As root, it installs missing packages without
@@ -69,7 +73,14 @@ enum Command {
     /// tests (mbpoll, Python and Node.js packages)
     Setup,
     /// Build the firmware image; print its path and SHA-256
-    Build(Variant),
+    Build {
+        #[command(flatten)]
+        variant: Variant,
+        /// Build the boot loader and a signed image for updates instead: a file for the board's drive, and one for `wsg bridge
+        /// PORT update` (docs/updates.md)
+        #[arg(long, conflicts_with_all = ["features", "settings"])]
+        updates: bool,
+    },
     /// Run the firmware in an emulator between a PLC and a virtual gripper; where the emulator cannot be installed, run the
     /// bridge's library in its place
     Demo {
@@ -201,7 +212,10 @@ fn run(command: Command) -> Result<ExitCode> {
     let workspace = &Workspace::from_env()?;
     match command {
         Command::Setup => setup::all(workspace)?,
-        Command::Build(variant) => print_image(&build(workspace, &variant)?),
+        Command::Build { variant, updates: false } => print_image(&build(workspace, &variant)?),
+        Command::Build { variant, updates: true } => {
+            updates::build(&setup::thumb(workspace)?, variant.board)?.print();
+        }
         Command::Demo { board, arguments } => {
             let image = match setup::thumb_and_qemu(workspace) {
                 Ok(toolchain) => Some(firmware::build(&toolchain, &Variant { board, ..Variant::default() })?),

@@ -3,7 +3,7 @@
 use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result};
-use boards::{BOARDS, Board};
+use boards::BOARDS;
 use footprint::{Footprint, Section};
 
 use crate::{
@@ -40,11 +40,11 @@ const C_LIBRARY: [(&str, &[&str], u64); 2] = [
 const C_RAM_LIMIT: u64 = 640;
 
 /// Flash limit of the boot loaders: their part of the flash.
-const BOOT_LOADER_LIMIT: u64 = 32 * 1024;
+const BOOT_LOADER_LIMIT: u64 = wsg_update::BOOT_LEN as u64;
 
 /// Returns all gates.
 pub(crate) fn of_all(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
-    Ok([of_images(images)?, of_boot_loaders(toolchain)?, of_protocol(toolchain)?, of_c_library(toolchain)?]
+    Ok([of_images(images)?, of_updates(toolchain)?, of_protocol(toolchain)?, of_c_library(toolchain)?]
         .concat())
 }
 
@@ -63,14 +63,19 @@ pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
     Ok(gates)
 }
 
-/// Returns the gates of the boards' boot loaders.
-pub(crate) fn of_boot_loaders(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Gate>> {
-    let gate = |board: &'static Board| {
-        let Footprint { flash, .. } =
-            Footprint::of(&sections_of(&firmware::boot_loader(toolchain, board)?.path)?);
-        Ok(Gate::bytes(board.figure("boot loader, flash"), flash, BOOT_LOADER_LIMIT))
-    };
-    BOARDS.iter().map(gate).collect()
+/// Returns the gates of the programs for updates in the field: boot loaders, and images for slot A.
+pub(crate) fn of_updates(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Gate>> {
+    let mut gates = Vec::new();
+    for board in &BOARDS {
+        for (what, image, limit) in [
+            ("boot loader, flash", firmware::boot_loader(toolchain, board)?, BOOT_LOADER_LIMIT),
+            ("image for slot A, flash", firmware::build_for_slot(toolchain, board)?, board.slot_flash_limit),
+        ] {
+            let Footprint { flash, .. } = Footprint::of(&sections_of(&image.path)?);
+            gates.push(Gate::bytes(board.figure(what), flash, limit));
+        }
+    }
+    Ok(gates)
 }
 
 /// Reads the sections of a program.

@@ -198,8 +198,8 @@ impl Checks<'_> {
         let toolchain = self.toolchain;
         let images = firmware::build_all(toolchain)?;
         let sizes = || {
-            let boot_loaders = size::of_boot_loaders(toolchain)?;
-            anyhow::Ok([size::of_images(&images)?, boot_loaders, size::of_protocol(toolchain)?].concat())
+            let updates = size::of_updates(toolchain)?;
+            anyhow::Ok([size::of_images(&images)?, updates, size::of_protocol(toolchain)?].concat())
         };
         record.check("size", || gate::check(&sizes()?))?;
         if masters.missing.contains(&"arm_none_eabi_gcc") {

@@ -17,6 +17,8 @@ pub struct Board {
     pub takes_uf2: bool,
     /// Flash limit of the image in bytes.
     pub flash_limit: u64,
+    /// Flash limit of the image for slot A in bytes. It also contains the check and the receiver of signed images.
+    pub slot_flash_limit: u64,
     /// Lines of START-HERE.txt about the files of the firmware.
     pub files: &'static str,
     /// Words of its documents that name a part, a file or a program of this board. Documents of boards without such a word
@@ -34,6 +36,7 @@ pub static BOARDS: [Board; 3] = [
         takes_uf2: false,
         // 64 KiB before persistent settings and the service port were added. 4 KB hold the initial values of the static RAM.
         flash_limit: 80 * 1024,
+        slot_flash_limit: 96 * 1024,
         files: "\
 wsg-bridge.bin       the firmware: copy it to the USB drive that the board provides
 wsg-bridge.elf       the same firmware for programming tools, such as STM32CubeProgrammer",
@@ -57,6 +60,7 @@ wsg-bridge.elf       the same firmware for programming tools, such as STM32CubeP
         takes_uf2: true,
         // Of 2 MiB. A Cortex-M0+ needs more instructions, and the image contains a USB device.
         flash_limit: 96 * 1024,
+        slot_flash_limit: 112 * 1024,
         files: "\
 wsg-bridge.uf2       the firmware: hold BOOTSEL while you connect USB, and copy it to the
                      drive that appears
@@ -71,6 +75,7 @@ wsg-bridge.bin       the same firmware as bytes of the flash, from 10000000h",
         emulated: Some("_NUCLEO"),
         takes_uf2: false,
         flash_limit: 80 * 1024,
+        slot_flash_limit: 96 * 1024,
         files: "\
 wsg-bridge.bin       the firmware: copy it to the USB drive that the board provides
 wsg-bridge.elf       the same firmware for programming tools, such as STM32CubeProgrammer",
@@ -111,10 +116,10 @@ impl Board {
         BOARDS[0].name
     }
 
-    /// Returns cargo's arguments that select the crate, features and target of the image.
+    /// Returns cargo's arguments that select the crate, features and target of the image, with and without the boot loader.
     #[must_use]
     pub fn selection(&self) -> String {
-        format!("--package wsg-{} --features firmware --target {}", self.name, self.triple)
+        format!("--package wsg-{} --features boot,slot --target {}", self.name, self.triple)
     }
 
     /// Finds an emulated board by name.

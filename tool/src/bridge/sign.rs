@@ -1,7 +1,4 @@
 //! Keys and signatures of images for updates in the field. Offline; the format is that of the crate `wsg-update`.
-//!
-//! Keys are PEM files that OpenSSL and other programs read: PKCS#8 (RFC 8410) for the private key, SubjectPublicKeyInfo for the
-//! public one.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -9,14 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
-use pem::{EncodeConfig, LineEnding, Pem};
-use wsg_update::sign::SigningKey;
+use wsg_update::sign::{self, SigningKey};
 use wsg_update::{Manifest, PublicKey, Target, Version};
-
-/// DER before the 32 bytes of each key (RFC 8410, 10.3 and 10.1).
-const PRIVATE: (&str, &[u8]) =
-    ("PRIVATE KEY", b"\x30\x2E\x02\x01\x00\x30\x05\x06\x03\x2B\x65\x70\x04\x22\x04\x20");
-const PUBLIC: (&str, &[u8]) = ("PUBLIC KEY", b"\x30\x2A\x30\x05\x06\x03\x2B\x65\x70\x03\x21\x00");
 
 /// First bytes of an ELF file.
 const ELF: &[u8] = b"\x7FELF";
@@ -45,26 +36,25 @@ pub(crate) struct Arguments {
     output: Option<PathBuf>,
 }
 
-/// Parses a version of three numbers up to 255.
 fn version(text: &str) -> Result<Version> {
-    let numbers: Option<Vec<u8>> = text.split('.').map(|number| number.parse().ok()).collect();
-    let numbers = numbers.and_then(|numbers| numbers.try_into().ok());
-    numbers.map(Version).context("expected three numbers up to 255, such as 1.2.3")
+    Version::parse(text).context("expected three numbers up to 255, such as 1.2.3")
 }
 
 /// Writes a new private key and its public key.
 pub(crate) fn generate_key(file: &Path, output: &mut impl Write) -> Result<()> {
     let mut seed = [0; 32];
     getrandom::fill(&mut seed).context("the operating system provides no random numbers")?;
-    let public = SigningKey::from_bytes(&seed).verifying_key().to_bytes();
+    let key = SigningKey::from_bytes(&seed);
+    let public = key.verifying_key().to_bytes();
     let mut public_file = file.as_os_str().to_owned();
     public_file.push(".pub");
     let public_file = PathBuf::from(public_file);
     ensure!(!public_file.exists(), "{} exists; choose another name", public_file.display());
-    write_new(file, &text(PRIVATE, &seed))?;
-    write_new(&public_file, &text(PUBLIC, &public))?;
+    write_new(file, &sign::private_pem(&key))?;
+    write_new(&public_file, &sign::public_pem(&public))?;
     writeln!(output, "{}: private key; keep it secret and offline, with a copy", file.display())?;
-    Ok(writeln!(output, "{}: public key", public_file.display())?)
+    let digits: String = public.iter().map(|byte| format!("{byte:02x}")).collect();
+    Ok(writeln!(output, "{}: public key {digits}", public_file.display())?)
 }
 
 /// Signs an image.
@@ -95,26 +85,14 @@ pub(crate) fn sign(arguments: &Arguments, output: &mut impl Write) -> Result<()>
 
 /// Reads a private key.
 fn private_key(file: &Path) -> Result<SigningKey> {
-    Ok(SigningKey::from_bytes(&key(file, PRIVATE)?))
+    let expected = || format!("{}: expected a private key of Ed25519 as PEM", file.display());
+    sign::private_key(&read(file)?).with_context(expected)
 }
 
 /// Reads a public key.
 pub(crate) fn public_key(file: &Path) -> Result<PublicKey> {
-    key(file, PUBLIC)
-}
-
-fn key(file: &Path, (tag, prefix): (&str, &[u8])) -> Result<[u8; 32]> {
-    let expected = || format!("{}: expected a {} of Ed25519 as PEM", file.display(), tag.to_lowercase());
-    let parsed = pem::parse(read(file)?).with_context(expected)?;
-    let bytes = parsed.contents().strip_prefix(prefix).filter(|_| parsed.tag() == tag);
-    bytes.and_then(|bytes| bytes.try_into().ok()).with_context(expected)
-}
-
-fn text((tag, prefix): (&str, &[u8]), key: &[u8; 32]) -> String {
-    pem::encode_config(
-        &Pem::new(tag, [prefix, key].concat()),
-        EncodeConfig::new().set_line_ending(LineEnding::LF),
-    )
+    let expected = || format!("{}: expected a public key of Ed25519 as PEM", file.display());
+    sign::public_key(&read(file)?).with_context(expected)
 }
 
 fn read(file: &Path) -> Result<Vec<u8>> {

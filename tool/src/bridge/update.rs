@@ -113,14 +113,8 @@ fn image_of(bytes: &[u8], key: Option<PublicKey>) -> Result<Manifest> {
     let manifest = parsed.context("no manifest and signature at its end")?;
     let Some(key) = key else { return Ok(manifest) };
     let Manifest { target, counter, .. } = manifest;
-    let mut slot = bytes;
-    let mut check =
-        Check::begin(&mut slot, Rules { target, keys: Keys { first: key, second: key }, counter })?;
-    loop {
-        if let Some(manifest) = check.step(&mut slot)? {
-            return Ok(manifest);
-        }
-    }
+    let keys = Keys { first: key, second: key };
+    Ok(Check::whole(&mut &*bytes, Rules { target, keys, counter })?)
 }
 
 /// Registers of an update.

@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn each_manual_has_the_pins_and_names_of_its_board_only() {
         for board in &BOARDS {
-            check(board, &manual_of(board), &start_here(board, false, true)).unwrap();
+            check(board, &manual_of(board), &start_here(board, false, true, true)).unwrap();
         }
     }
 
@@ -165,9 +165,13 @@ mod tests {
     #[test]
     fn manual_or_first_page_of_another_board_is_rejected() {
         for board in &BOARDS {
-            let (manual, start) = (manual_of(board), start_here(board, false, true));
+            let (manual, start) = (manual_of(board), start_here(board, false, true, true));
             for other in BOARDS.iter().filter(|other| *other != board) {
-                assert!(check(other, &manual, &start_here(other, false, true)).is_err(), "{}", other.name);
+                assert!(
+                    check(other, &manual, &start_here(other, false, true, true)).is_err(),
+                    "{}",
+                    other.name
+                );
             }
             // A pin, a connector, a file, an instruction, a part: one of each that belongs to another board.
             let wrong = match board.name {
@@ -187,7 +191,7 @@ mod tests {
     #[test]
     fn manual_with_a_changed_pin_is_rejected() {
         for board in &BOARDS {
-            let (manual, start) = (manual_of(board), start_here(board, false, true));
+            let (manual, start) = (manual_of(board), start_here(board, false, true, true));
             for row in BoardWiring::of(board).wire_rows() {
                 let [wire, pin, mcu] = row.map(|cell| cell.replace('`', ""));
                 let right = format!("<td>{pin}</td><td>{mcu}</td>");

@@ -54,6 +54,9 @@ fn linked() -> Vec<&'static str> {
 const WINDOWS: &str = "windows";
 const LINUX: &str = "linux";
 
+/// Folder of the files for updates in the field.
+const UPDATES: &str = "updates";
+
 /// The page that a reader opens first.
 const START: &str = "START-HERE.txt";
 
@@ -67,7 +70,7 @@ With the board:
 2. Follow its first chapter, \"Quick start\", from the wiring to the first grip.
 PROGRAMS
 IMAGE
-manual.html          the manual of this board
+UPDATESmanual.html          the manual of this board
 BOOKregisters.csv        all Modbus registers, coils and discrete inputs
 wsg-bridge.eds       CANopen: device file for a master's tool
 WSGB5555.gsd         PROFIBUS: device file for a master's tool
@@ -95,6 +98,12 @@ Then open http://127.0.0.1:8080/ in a browser. Ctrl-C ends it.
 
 windows/, linux/     wsg: settings and state of the bridge, and commands to a gripper
                      wsg-sim: a virtual gripper
+";
+
+/// Lines about updates.
+const UPDATES_LINES: &str = "\
+updates/             signed firmware for a board with a boot loader, and its installation
+                     (manual.html, \"Updates\")
 ";
 
 /// Lines about the book.
@@ -156,7 +165,7 @@ fn run(Folder { elf, board, book, to }: &Folder) -> Result<()> {
 /// Returns the named files and `more`, the book or programs, with the checksums last.
 fn contents(board: &Board, elf: Vec<u8>, more: Vec<(String, Vec<u8>)>) -> Result<Vec<(String, Vec<u8>)>> {
     let has = |folder: &str| more.iter().any(|(name, _)| name.starts_with(folder));
-    let start = start_here(board, has("book"), has(LINUX));
+    let start = start_here(board, has("book"), has(LINUX), has(UPDATES));
     let mut single = vec![
         (START, start.replace('\n', "\r\n").into_bytes()),
         ("wsg-bridge.bin", footprint::bytes_of_flash(&elf)?),
@@ -183,10 +192,11 @@ fn contents(board: &Board, elf: Vec<u8>, more: Vec<(String, Vec<u8>)>) -> Result
     Ok(files)
 }
 
-fn start_here(board: &Board, has_book: bool, has_programs: bool) -> String {
+fn start_here(board: &Board, has_book: bool, has_programs: bool, has_updates: bool) -> String {
     let part = |has, part: &'static str| if has { part } else { "" };
     let start = START_HERE.replace("IMAGE", board.files).replace("BOOK", part(has_book, BOOK));
     let start = start.replace("PROGRAMS", part(has_programs, PROGRAMS));
+    let start = start.replace("UPDATES", part(has_updates, UPDATES_LINES));
     start.replace("BOARD", BoardWiring::of(board).name)
 }
 
@@ -241,7 +251,7 @@ mod tests {
 
     #[test]
     fn first_page_names_every_file_on_one_screen() {
-        let start = start_here(&boards::BOARDS[0], true, true);
+        let start = start_here(&boards::BOARDS[0], true, true, true);
         for name in linked().into_iter().chain([GSD_ARCHIVE, GSDML_ARCHIVE]) {
             assert!(start.contains(&format!("\n{name} ")), "{name}");
         }

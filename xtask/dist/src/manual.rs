@@ -14,13 +14,14 @@ use host_tests::board_wiring::BoardWiring;
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
 /// The documents, in reading order.
-pub(crate) const DOCUMENTS: [&str; 8] = [
+pub(crate) const DOCUMENTS: [&str; 9] = [
     "quick-start.md",
     "commissioning.md",
     "wiring.md",
     "registers.md",
     "can.md",
     "profibus.md",
+    "updates.md",
     "grip-cycle.md",
     "states.md",
 ];

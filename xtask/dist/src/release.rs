@@ -30,7 +30,7 @@ const KEY: &str = "WSG_SIGNING_KEY";
 const README: &str = "\
 Version VERSION of wsg-bridge, wsg, wsg-sim, their libraries and their documents.
 
-wsg-bridge-VERSION-BOARD.zip     for PLC engineers: firmware, manual, programs, device files
+wsg-bridge-VERSION-BOARD.zip     for PLC engineers: firmware, signed updates, manual, programs, device files
 wsg-VERSION-SYSTEM               the programs wsg and wsg-sim, manual pages, completions
 wsg-tools_VERSION-1_CPU.deb      the same for Debian and Ubuntu
 wsg_gripper-VERSION-....whl      for Python

@@ -18,6 +18,14 @@ const MOST_BYTES: usize = 1 << 20;
 /// # Errors
 /// Fails when the file is not a 32-bit ELF file, or its segments are missing, overlap or are too far apart.
 pub fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
+    Ok(range_of_flash(elf)?.1)
+}
+
+/// Returns the lowest address loaded by an ELF file, and the flash contents from there on.
+///
+/// # Errors
+/// Like [`bytes_of_flash`].
+pub fn range_of_flash(elf: &[u8]) -> Result<(u32, Vec<u8>)> {
     let mut segments = segments(elf)?;
     segments.sort_by_key(|(address, _)| *address);
     let (first, _) = *segments.first().context("the image has nothing to load")?;
@@ -32,7 +40,7 @@ pub fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
         bytes.resize(offset, ERASED);
         bytes.extend_from_slice(data);
     }
-    Ok(bytes)
+    Ok((first, bytes))
 }
 
 /// Returns address and data of the segments that an ELF file loads. Initialized variables are at their addresses in flash, from where
@@ -80,7 +88,7 @@ pub(crate) mod tests {
     #[test]
     fn segments_are_at_their_flash_addresses_and_gaps_are_erased() {
         let image = elf(&[(0x0800_0006, 2, b"de"), (0x0800_0000, 3, b"abc"), (0x2000_0000, 9, b"")]);
-        assert_eq!(bytes_of_flash(&image).unwrap(), b"abc\xff\xff\xffde");
+        assert_eq!(range_of_flash(&image).unwrap(), (0x0800_0000, b"abc\xff\xff\xffde".to_vec()));
     }
 
     #[test]

@@ -23,8 +23,14 @@ const FLASH: std::ops::Range<u64> = 0x1000_0000..0x1100_0000;
 
 /// Converts an ELF file's flash contents to UF2. Unused bytes of a page are 00h.
 pub fn uf2(elf: &[u8]) -> Result<Vec<u8>> {
+    uf2_of(&segments(elf)?)
+}
+
+/// Does the same with flash contents and their addresses. Contents of several sectors must be without gaps: the boot ROM erases a
+/// sector for every 16th block, not for each address (RP2040-E14).
+pub fn uf2_of(contents: &[(u32, &[u8])]) -> Result<Vec<u8>> {
     let mut pages = BTreeMap::<u64, [u8; PAYLOAD as usize]>::new();
-    for (start, data) in segments(elf)? {
+    for &(start, data) in contents {
         for (address, byte) in (u64::from(start)..).zip(data) {
             ensure!(FLASH.contains(&address), "the image has {address:#x}, which is not in flash");
             let page = pages.entry(address / PAYLOAD * PAYLOAD).or_insert([0; PAYLOAD as usize]);

@@ -80,7 +80,8 @@ fn text_of(parts: &[Part]) -> Result<String> {
         let name = format!("{} {}", part.name, part.version);
         write!(text, "  {name}: {}", part.licence)?;
         if !texts(&name, &part.folder)? {
-            write!(text, " (by {}; provides no licence text, the standard text follows)", part.authors)?;
+            let by = if part.authors.is_empty() { "" } else { &format!("by {}; ", part.authors) };
+            write!(text, " ({by}provides no licence text, the standard text follows)")?;
         }
         text.push('\n');
     }
