@@ -18,6 +18,11 @@ static VERIFY: wsg_boot::Verify = wsg_boot::verify;
 /// At a clock of 16 MHz, the checks take about 0.6 s, so the image alone starts a faster one.
 const STARTS_CLOCK: bool = chip::RESET_HZ < 16_000_000;
 
+/// Clock of the boot loader in Hz.
+const fn clock_hz<Board: Stm32Board>() -> u32 {
+    if STARTS_CLOCK { Board::HCLK_HZ } else { chip::RESET_HZ }
+}
+
 /// Starts the image in slot A after its checks. Without any acceptable image, stays in the safe state: outputs low, LED blinking.
 pub fn boot<Board: Stm32Board>() -> ! {
     // Outputs are low from here until the image sets them.
@@ -38,7 +43,7 @@ pub fn boot<Board: Stm32Board>() -> ! {
                 is_lit = !is_lit;
                 led.indicate(is_lit);
                 watchdog.feed();
-                cortex_m::asm::delay(Board::HCLK_HZ / 8);
+                cortex_m::asm::delay(const { clock_hz::<Board>() / 8 });
             }
         }
         // The watchdog resets the MCU, and the next start tries again.

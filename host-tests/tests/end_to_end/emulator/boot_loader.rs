@@ -236,7 +236,7 @@ fn image_is_received_exchanged_and_confirmed(board: Board) {
     let is_whole = extent::is_whole() || matches!(plant.flash, Flash::Pico(_));
     let began = Instant::now();
     for (block, at) in plant.new.chunks(BLOCK_LEN).zip((0..).step_by(BLOCK_LEN)) {
-        let [_, f, r1, r0] = (at / FILE_LEN << 16 | at % FILE_LEN / 2).to_be_bytes();
+        let [_, f, r1, r0] = ((at / FILE_LEN) << 16 | (at % FILE_LEN / 2)).to_be_bytes();
         let len = block.len() as u8;
         let pdu = [&[21, 7 + len, 6, 0, 1 + f, r1, r0, 0, len / 2], block].concat();
         assert_eq!(master.ask(&pdu).unwrap(), pdu, "{at}");
