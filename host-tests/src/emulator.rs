@@ -114,6 +114,8 @@ pub struct Extras<'a> {
     pub can: Option<CanBus<Mcp2515>>,
     /// Pico: file that stores the flash. Without it the flash is volatile.
     pub flash: Option<&'a Path>,
+    /// Pico: number of operations of the flash until the power fails.
+    pub cut: Option<u32>,
     /// Pico: initial value of every byte of RAM, 0 by default.
     pub ram: Option<u8>,
     /// Pico: whether the watchdog resets the board. Otherwise the emulator ends instead.

@@ -56,7 +56,11 @@ impl Qemu {
     /// Starts QEMU, and returns when the firmware's main loop runs.
     pub(super) fn start(elf: &Path, mut extras: Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
         ensure!(
-            extras.can.is_none() && extras.flash.is_none() && extras.ram.is_none() && !extras.may_reset,
+            extras.can.is_none()
+                && extras.flash.is_none()
+                && extras.cut.is_none()
+                && extras.ram.is_none()
+                && !extras.may_reset,
             "the image runs in QEMU, but the extras are for the Pico"
         );
         let (board, clock_address) = StmBoard::of(elf);

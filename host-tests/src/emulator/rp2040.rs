@@ -122,6 +122,9 @@ impl Rp2040 {
         if let Some(byte) = extras.ram {
             command.args(["--ram", &byte.to_string()]);
         }
+        if let Some(operations) = extras.cut {
+            command.args(["--cut", &operations.to_string()]);
+        }
         if extras.may_reset {
             command.arg("--reboot");
         }

@@ -4,23 +4,27 @@
 use std::fmt::Write;
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use footprint::bytes_of_flash;
+use host_tests::chance::Chance;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::extent;
 use host_tests::flash_controller::FlashController;
 use host_tests::modbus_master::Master;
 use host_tests::registers::RegisterModel;
 use host_tests::rig::{PATIENCE, Rig};
+use host_tests::slot_flash::{Parts, SlotFlash};
 use host_tests::trace::Trace;
 use object::read::elf::{ElfFile32, ProgramHeader};
 use object::{Endianness, Object, ObjectSection};
 use rustix::process::{Pid, Signal, kill_process};
+use wsg_boot::Records;
 use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, FIRST_COMMAND};
+use wsg_bridge_fw::storage::Progress;
 use wsg_sim::Config;
 use wsg_stm32::{Port, output_pins};
 use wsg_update::sign::{SigningKey, file};
@@ -184,15 +188,18 @@ impl Plant {
                 flash.power_cycle();
                 self.start_in_qemu(&flash.slots(), flash.models())
             }
-            Flash::Pico(file) => {
-                Emulator::start_with(&self.elf, Extras { flash: Some(file), ..Extras::default() }).unwrap()
-            }
+            Flash::Pico(file) => self.start_pico(file, None).unwrap(),
         };
         let mut rig = Rig::of(emulator, None, Config::default(), Trace::new(vec![])).unwrap();
         await_link(&rig);
         let line = rig.board_mut().take_service_line().unwrap();
         let master = Master::new(line, rig.board().clock(), 1);
         (rig, master)
+    }
+
+    /// Starts the Pico; the power may fail after some operations of its flash.
+    fn start_pico(&self, flash: &Path, cut: Option<u32>) -> anyhow::Result<Emulator> {
+        Emulator::start_with(&self.elf, Extras { flash: Some(flash), cut, ..Extras::default() })
     }
 
     fn start_in_qemu(&self, slots: &[(u32, Vec<u8>)], models: Vec<Box<dyn RegisterModel>>) -> Emulator {
@@ -276,6 +283,43 @@ fn image_is_received_exchanged_and_confirmed(board: Board) {
     }
 }
 
+/// The exchange and the return of the previous image, with power cuts at any operation. The Pico's emulator has watchdog and boot
+/// ROM, and executes the boot loader in its time.
+fn power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image(board: Board) {
+    let plant = Plant::new(board, "cuts");
+    let Flash::Pico(file) = &plant.flash else { panic!("only the Pico's emulator cuts the power") };
+    // As after a transfer: the new image in slot B, and a request in the records of its state.
+    let mut flash = fs::read(file).unwrap();
+    flash[0x10_0000..][..plant.new.len()].copy_from_slice(&plant.new);
+    let requested = SlotFlash::<4096, 256>::new(1);
+    let Parts { state, trust, .. } = &mut requested.parts();
+    let mut records = Records::load(state, trust);
+    records.request();
+    while records.poll(state, trust, wsg_protocol::Instant::from_millis(0)) == Progress::Saving {}
+    let pages = requested.content();
+    for (page, at) in [(3, 0x1F_C000), (4, 0x1F_D000)] {
+        let double_words = (0..512).flat_map(|index| pages.bits(page, index).to_le_bytes());
+        flash[at..][..4096].copy_from_slice(&double_words.collect::<Vec<_>>());
+    }
+    let runs = |cut| {
+        plant.start_pico(file, cut).is_ok_and(|emulator| {
+            await_link(&Rig::of(emulator, None, Config::default(), Trace::new(vec![])).unwrap());
+            true
+        })
+    };
+    let mut chance = Chance::new(62);
+    for number in 0..extent::of(10) {
+        fs::write(file, &flash).unwrap();
+        for image in [&plant.new, &plant.old] {
+            let cuts = [chance.below(900), chance.below(400)].map(|cut| cut as u32);
+            for cut in cuts {
+                assert!(!runs(Some(cut)), "{number}: the boot loader has less than {cut} operations");
+            }
+            assert!(runs(None) && plant.slot_a().starts_with(image), "{number}: {cuts:?}");
+        }
+    }
+}
+
 /// Returns the register and the value of a line of QEMU's trace of writes to this port.
 fn write_to(line: &str, port: char) -> Option<(u32, u32)> {
     let rest = line.strip_prefix(&format!("stm32l4x5_gpio_write GPIO{port} "))?;
@@ -329,4 +373,10 @@ mod updates {
     use super::*;
 
     on_every_board!(board => image_is_received_exchanged_and_confirmed);
+
+    #[test]
+    #[ignore = "needs an emulator and the firmware images: run `cargo xtask test`"]
+    fn power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image() {
+        super::power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image(Board::PICO);
+    }
 }
