@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use footprint::bytes_of_flash;
+use host_tests::addresses::setting;
 use host_tests::chance::Chance;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::extent;
@@ -30,7 +31,7 @@ use wsg_stm32::{Port, output_pins};
 use wsg_update::sign::{SigningKey, file};
 use wsg_update::{LENGTH_AT, Manifest, SIGNATURE_LEN, SLOT_LEN, Target, Version};
 
-use super::{Board, wait_until};
+use super::{Board, RELEASED, wait_until};
 
 const BOOT: &str = "WSG_BOOT_ELF";
 const SLOT: &str = "WSG_SLOT_ELF";
@@ -150,19 +151,12 @@ impl Plant {
         let [old, new] = [0, 1].map(|patch| signed(board, &elf, patch));
         let path = folder.0.join("image.elf");
         if board.1.is_none() {
-            let mut flash = vec![0xFF; 2 << 20];
-            flash[0x8000..][..old.len()].copy_from_slice(&old);
             let file = folder.0.join("flash");
-            fs::write(&file, flash).unwrap();
-            return Self {
-                folder,
-                board,
-                elf: board.image(BOOT),
-                end: 0,
-                old,
-                new,
-                flash: Flash::Pico(file),
-            };
+            fs::write(&file, vec![0xFF; 2 << 20]).unwrap();
+            let flash = Flash::Pico(file);
+            let plant = Self { folder, board, elf: board.image(BOOT), end: 0, old, new, flash };
+            plant.install();
+            return plant;
         }
         let file = object::File::parse(&*elf).unwrap();
         let (table, _) = file.section_by_name(".vector_table").unwrap().file_range().unwrap();
@@ -171,6 +165,15 @@ impl Plant {
         fs::write(&path, &elf).unwrap();
         let flash = Flash::Qemu(FlashController::with_slots(&board.in_qemu().flash, &old));
         Self { folder, board, elf: path, end: program(board, &elf).len(), old, new, flash }
+    }
+
+    /// Writes the image to slot A, as over the drive. The harness does so for a board in QEMU at each start.
+    fn install(&self) {
+        if let Flash::Pico(file) = &self.flash {
+            let mut flash = fs::read(file).unwrap();
+            flash[0x8000..][..self.old.len()].copy_from_slice(&self.old);
+            fs::write(file, flash).unwrap();
+        }
     }
 
     /// Returns the content of slot A.
@@ -283,6 +286,32 @@ fn image_is_received_exchanged_and_confirmed(board: Board) {
     }
 }
 
+fn command(name: &str) -> u16 {
+    FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).unwrap() as u16
+}
+
+/// The released image has no boot loader, and stores its settings at the same addresses.
+fn settings_survive_the_installation_of_the_boot_loader(board: Board) {
+    let plant = Plant::new(board, "install");
+    let extras = match &plant.flash {
+        Flash::Qemu(flash) => Extras { models: flash.models(), ..Extras::default() },
+        Flash::Pico(file) => Extras { flash: Some(file), ..Extras::default() },
+    };
+    let mut rig = board.rig(RELEASED, extras, Config::default());
+    let line = rig.board_mut().take_service_line().unwrap();
+    let mut master = Master::new(line, rig.board().clock(), 1);
+    master.write(setting("DEBOUNCE"), &[7]).unwrap();
+    master.write(command("SAVE"), &[COMMAND_KEY]).unwrap();
+    wait_until("the save to end", || master.report("SAVE_STATE").unwrap(), |state| *state == 2);
+    drop(rig);
+
+    plant.install();
+    let (_rig, mut master) = plant.power_up();
+    assert_ne!(master.report("UPDATE_BOARD_LOW").unwrap(), 0, "there is a boot loader");
+    assert_eq!(master.report("SETTINGS_FROM").unwrap(), 1, "stored");
+    assert_eq!(master.read(3, setting("DEBOUNCE"), 1).unwrap(), [7]);
+}
+
 /// The exchange and the return of the previous image, with power cuts at any operation. The Pico's emulator has watchdog and boot
 /// ROM, and executes the boot loader in its time.
 fn power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image(board: Board) {
@@ -372,7 +401,10 @@ on_every_board!(board_in_qemu =>
 mod updates {
     use super::*;
 
-    on_every_board!(board => image_is_received_exchanged_and_confirmed);
+    on_every_board!(board =>
+        image_is_received_exchanged_and_confirmed,
+        settings_survive_the_installation_of_the_boot_loader,
+    );
 
     #[test]
     #[ignore = "needs an emulator and the firmware images: run `cargo xtask test`"]
