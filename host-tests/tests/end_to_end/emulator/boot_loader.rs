@@ -257,8 +257,6 @@ fn image_is_received_exchanged_and_confirmed(board: Board) {
         }
     }
     println!("transfer of {} bytes: {:.1?}", plant.new.len(), began.elapsed());
-    let command =
-        |name: &str| FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).unwrap() as u16;
     master.write(command("UPDATE_CHECK"), &[COMMAND_KEY]).unwrap();
     let state = wait_until("the check to end", || report(&mut master, "UPDATE_STATE"), |state| *state != 2);
     assert_eq!((state, report(&mut master, "UPDATE_REFUSAL")), (3, 0));
