@@ -2,8 +2,7 @@
 
 use super::Host;
 use super::answer::{HttpError, status};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use super::json::{FromJson, ToJson, Value, body, members, object};
 use std::collections::BTreeMap;
 
 /// Headings of settings.
@@ -18,15 +17,15 @@ pub(crate) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE
 pub(crate) const SETTINGS_EXPECTED: &str = r#"an object with the settings to change, such as {"clamping-travel":4,"homing-at-start":true,"tag":null}, where null is the default"#;
 
 /// One row of the table of settings.
-#[derive(Debug, Deserialize, Serialize)]
+#[derive(Debug)]
 pub(crate) struct Setting {
     pub(crate) name: String,
-    pub(crate) group: &'static str,
+    pub(crate) group: String,
     pub(crate) meaning: String,
     /// The default, as the help writes it; empty without one.
     pub(crate) default: String,
     /// The unit, or the form of the value. `None` for a switch.
-    pub(crate) unit: Option<&'static str>,
+    pub(crate) unit: Option<String>,
     /// The possible values, if they are few.
     pub(crate) choices: Vec<String>,
     /// The accepted values, in the words of the error; empty for a free text.
@@ -35,6 +34,8 @@ pub(crate) struct Setting {
     /// Whether the value is a list.
     pub(crate) is_list: bool,
 }
+members!(Setting: name, group, meaning, default, unit, choices, expected, is_at_once, is_list);
+body!(Setting: name, group, meaning, default, unit, choices, expected, is_at_once, is_list);
 
 /// A setting with its value.
 #[derive(Debug)]
@@ -96,66 +97,44 @@ pub(crate) fn changed_settings<'a>(
 }
 
 /// A changed setting may be any JSON value; its row decides.
-pub(crate) type SettingsBody = BTreeMap<String, Value>;
+#[derive(Debug)]
+pub(crate) struct SettingsBody(Vec<(String, Value)>);
 
-/// The answer to `/settings`.
-#[derive(Debug, Serialize)]
-pub(crate) struct SettingsAnswer {
-    /// A number that grows with each change.
-    revision: u64,
-    groups: [&'static str; 5],
-    /// The file in which changes are saved.
-    file: Option<String>,
-    /// Whether a setting waits for a restart.
-    restart_pending: bool,
-    settings: Vec<SettingBody>,
+impl FromJson for SettingsBody {
+    fn from_json(value: Value) -> Result<Self, String> {
+        value.into_members(None).map(Self)
+    }
 }
 
-#[derive(Debug, Serialize)]
-struct SettingBody {
-    name: &'static str,
-    group: &'static str,
-    meaning: &'static str,
-    /// `switch`, `choice`, `list`, or `text` for numbers and texts.
-    kind: &'static str,
-    unit: &'static str,
-    choices: &'static [String],
-    default: &'static str,
-    expected: &'static str,
-    /// The given value; null for the default.
-    value: Value,
-    effect: &'static str,
-    pending: bool,
-}
-
-impl SettingBody {
-    fn of(state: SettingState) -> Self {
-        let SettingState { row, given, is_pending } = state;
+impl ToJson for SettingState {
+    fn write(&self, json: &mut String) {
+        let Self { row, given, is_pending } = self;
         let kind = match row.unit {
             None => "switch",
             Some(_) if row.is_list => "list",
             Some(_) if !row.choices.is_empty() => "choice",
             Some(_) => "text",
         };
-        let value = match given {
-            None if kind == "switch" => Value::Bool(false),
-            None => Value::Null,
-            Some(words) if kind == "list" => words.into(),
-            Some(words) => words.into_iter().next().map_or(Value::Bool(true), Value::String),
+        // Null for the default.
+        let value: &dyn ToJson = match given.as_deref() {
+            None if kind == "switch" => &false,
+            Some([]) if kind == "switch" => &true,
+            Some([word, ..]) if kind != "list" => word,
+            _ => given,
         };
-        Self {
-            name: &row.name,
-            group: row.group,
-            meaning: &row.meaning,
-            kind,
-            unit: row.unit.unwrap_or(""),
-            choices: &row.choices,
-            default: &row.default,
-            expected: &row.expected,
-            value,
-            effect: if row.is_at_once { "at once" } else { "after a restart" },
-            pending: is_pending,
-        }
+        object!(json;
+            "name" => row.name,
+            "group" => row.group,
+            "meaning" => row.meaning,
+            "kind" => kind,
+            "unit" => row.unit.as_deref().unwrap_or(""),
+            "choices" => row.choices,
+            "default" => row.default,
+            "expected" => row.expected,
+            "value" => value,
+            "effect" => if row.is_at_once { "at once" } else { "after a restart" },
+            "pending" => is_pending,
+        );
     }
 }
 
@@ -165,14 +144,16 @@ fn no_options() -> HttpError {
     HttpError::new(status::CONFLICT, error.to_owned())
 }
 
-pub(crate) fn settings(host: &mut impl Host) -> Result<SettingsAnswer, HttpError> {
+/// Returns the answer to `/settings`.
+pub(crate) fn settings(host: &mut impl Host) -> Result<String, HttpError> {
     let settings = host.settings().ok_or_else(no_options)?;
-    Ok(SettingsAnswer {
-        revision: host.at_bench(|bench, _| bench.settings_revision()),
-        groups: GROUPS,
-        file: host.settings_file(),
-        restart_pending: settings.iter().any(|setting| setting.is_pending),
-        settings: settings.into_iter().map(SettingBody::of).collect(),
+    Ok(object! {
+        // Grows with each change.
+        "revision": host.at_bench(|bench, _| bench.settings_revision()),
+        "groups": GROUPS,
+        "file": host.settings_file(),
+        "restart_pending": settings.iter().any(|setting| setting.is_pending),
+        "settings": settings,
     })
 }
 
@@ -180,13 +161,14 @@ pub(crate) fn settings(host: &mut impl Host) -> Result<SettingsAnswer, HttpError
 pub(crate) fn change(host: &mut impl Host, body: SettingsBody) -> Result<(), HttpError> {
     let table = host.settings().ok_or_else(no_options)?;
     let changes: Result<Changes, HttpError> = body
+        .0
         .into_iter()
         .map(|(name, value)| {
             let state = table.iter().find(|setting| setting.row.name == name).ok_or_else(|| {
                 HttpError::wrong(format!("the setting {name:?} is unknown; expected one of GET /settings"))
             })?;
             let words = words(state, value).ok_or_else(|| {
-                let expected = match (state.row.unit, state.row.is_list) {
+                let expected = match (&state.row.unit, state.row.is_list) {
                     (None, _) => "true or false",
                     (_, true) => "a list of texts",
                     _ => "a number, a text or null",
@@ -213,15 +195,14 @@ pub(crate) fn change(host: &mut impl Host, body: SettingsBody) -> Result<(), Htt
 /// Returns the words of a value; the outer `None` for a value of the wrong type.
 fn words(state: &SettingState, value: Value) -> Option<Option<Vec<String>>> {
     let word = |value: Value| match value {
-        Value::String(text) => Some(text),
-        Value::Number(number) => Some(number.to_string()),
+        Value::Text(text) | Value::Number(text) => Some(text),
         _ => None,
     };
     match value {
         Value::Null => Some(None),
         Value::Bool(on) if state.row.unit.is_none() => Some(on.then(Vec::new)),
         _ if state.row.unit.is_none() => None,
-        Value::Array(items) if state.row.is_list => {
+        Value::List(items) if state.row.is_list => {
             let words: Vec<String> = items.into_iter().map(word).collect::<Option<_>>()?;
             Some((!words.is_empty()).then_some(words))
         }

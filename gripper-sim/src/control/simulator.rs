@@ -3,8 +3,9 @@
 use super::answer::status;
 use super::bench::{Bench, PAGE};
 use super::faulty_line::Latency;
+use super::json::{self, object};
 use super::log::Log;
-use super::publisher::{Event, Publisher, hello, object};
+use super::publisher::{Event, Publisher, hello};
 use super::settings::{Changes, Given, Refused, Setting, SettingState, changed_settings};
 use super::system_log::{Severity, SystemLog};
 use super::{Action, Answer, Host, HttpError, check, lacking, words};
@@ -14,7 +15,7 @@ use std::sync::LazyLock;
 
 /// The table of settings, as the command line of `wsg-sim` defines it. A test compares them.
 static TABLE: LazyLock<Vec<Setting>> =
-    LazyLock::new(|| serde_json::from_slice(include_bytes!("settings.json")).unwrap_or_default());
+    LazyLock::new(|| json::read(include_bytes!("settings.json")).unwrap_or_default());
 
 /// Interval between two samples of the history, in ms.
 const SAMPLE_MS: u64 = 50;
@@ -99,7 +100,7 @@ impl Simulator {
         self.keep_tag();
         match answer {
             Ok(Answer::Json(text) | Answer::LogFile(text)) => (200, text),
-            Err(HttpError { status, error, .. }) => (status, object("error", &error)),
+            Err(HttpError { status, error, .. }) => (status, object! { "error": error }),
         }
     }
 

@@ -2,10 +2,10 @@
 //!
 //! It holds operator events, not frames; those are in the [`Log`](super::log::Log).
 
+use super::json::{ToJson, members};
 use super::log::Sink;
 use crate::text::one_line;
 use crate::time::Time;
-use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -15,8 +15,7 @@ const MAX_ENTRIES: usize = 500;
 const MAX_TEXT_LEN: usize = 300;
 
 /// How much an entry matters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Severity {
     Info,
     /// Someone must look: motion is locked or a limit is near.
@@ -35,7 +34,13 @@ impl Severity {
     }
 }
 
-#[derive(Clone, Debug, Serialize)]
+impl ToJson for Severity {
+    fn write(&self, json: &mut String) {
+        self.name().write(json);
+    }
+}
+
+#[derive(Clone, Debug)]
 pub(crate) struct Entry {
     /// Counts all entries since the start of the program.
     pub(crate) number: u64,
@@ -48,6 +53,7 @@ pub(crate) struct Entry {
     pub(crate) source: String,
     pub(crate) text: String,
 }
+members!(Entry: number, date, time_s, severity, source, text);
 
 impl std::fmt::Display for Entry {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
