@@ -3,7 +3,6 @@
 use super::Host;
 use super::answer::{HttpError, status};
 use super::json::{FromJson, ToJson, Value, body, members, object};
-use std::collections::BTreeMap;
 
 /// Headings of settings.
 pub(crate) const COMMAND: &str = "Command interface";
@@ -59,8 +58,35 @@ impl SettingState {
     }
 }
 
-/// The words given for each option, without its hyphens: none for a switch, several for an option that may be repeated.
-pub(crate) type Given = BTreeMap<String, Vec<String>>;
+/// The words given for each option, without its hyphens: none for a switch, several for an option that may be repeated. The
+/// options are in the order of their names. They are few, and the code of a map is large.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Given(Vec<(String, Vec<String>)>);
+
+impl Given {
+    pub(crate) fn get(&self, name: &str) -> Option<&Vec<String>> {
+        self.0.iter().find(|(known, _)| known == name).map(|(_, words)| words)
+    }
+
+    pub(crate) fn iter(&self) -> std::slice::Iter<'_, (String, Vec<String>)> {
+        self.0.iter()
+    }
+
+    /// Sets the words of an option; `None` for the default.
+    pub(crate) fn set(&mut self, name: &str, words: Option<Vec<String>>) {
+        self.0.retain(|(known, _)| known != name);
+        if let Some(words) = words {
+            let at = self.0.partition_point(|(known, _)| &known[..] < name);
+            self.0.insert(at, (name.to_owned(), words));
+        }
+    }
+
+    pub(crate) fn with(&self, changes: &Changes) -> Self {
+        let mut given = self.clone();
+        changes.iter().for_each(|(name, words)| given.set(name, words.clone()));
+        given
+    }
+}
 
 /// Changed settings: new words, none for a switch that is on, `None` for the default.
 pub(crate) type Changes = Vec<(String, Option<Vec<String>>)>;

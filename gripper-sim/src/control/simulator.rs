@@ -151,11 +151,7 @@ impl Simulator {
     fn keep_tag(&mut self) {
         let tag = self.bench.gripper().tag().as_str();
         for given in [&mut self.given, &mut self.at_start] {
-            if tag.is_empty() {
-                given.remove("tag");
-            } else {
-                given.insert("tag".to_owned(), vec![tag.to_owned()]);
-            }
+            given.set("tag", (!tag.is_empty()).then(|| vec![tag.to_owned()]));
         }
     }
 }
@@ -169,7 +165,7 @@ fn bench(config: Config, run: u64, system_log: SystemLog) -> Bench {
 /// Returns the settings of a gripper.
 fn configured(given: &Given) -> Result<Config, String> {
     let mut config = Config::default();
-    for (name, words) in given {
+    for (name, words) in given.iter() {
         if words::set(&mut config, name, words).is_some() {
             continue;
         }
@@ -200,13 +196,7 @@ impl Host for Simulator {
     }
 
     fn change_settings(&mut self, changes: &Changes) -> Result<(), Refused> {
-        let mut given = self.given.clone();
-        for (name, words) in changes {
-            match words {
-                Some(words) => given.insert(name.clone(), words.clone()),
-                None => given.remove(name),
-            };
-        }
+        let given = self.given.with(changes);
         let config = configured(&given).map_err(Refused::Invalid)?;
         if !self.bench.reconfigure(&config, self.now) {
             return Err(Refused::Moving);
