@@ -7,6 +7,7 @@
 use super::answer::{HttpError, status};
 use super::bench::Bench;
 use crate::time::Time;
+use wsg_protocol::Number;
 
 /// Maximum age of the state that the sender of a request saw, in ms.
 pub(crate) const MAX_AGE_MS: u64 = 1_000;
@@ -46,7 +47,7 @@ pub(crate) fn check(bench: &Bench, now: Time, effect: Effect, as_of: &str) -> Re
     let error = if run != bench.run() {
         "the sender saw the gripper before its last start; read the state again".to_owned()
     } else if age > MAX_AGE_MS * 1_000 {
-        format!("the sender saw a state {:.1} s old; expected at most 1 s", age as f64 / 1e6)
+        format!("the sender saw a state {:.1} s old; expected at most 1 s", Number(age as f32 / 1e6))
     } else if effect == Effect::Moves && at < bench.stopped_at() {
         "the sender has not seen the latest stop; read the state again".to_owned()
     } else {

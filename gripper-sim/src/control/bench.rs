@@ -24,7 +24,7 @@ use crate::time::{Time, earlier};
 use editor::Editor;
 use std::sync::Arc;
 use wsg_fieldbus::{InputImage, OutputImage};
-use wsg_protocol::{Command, Status, SystemFlags};
+use wsg_protocol::{Command, Number, Status, SystemFlags};
 
 /// The maximum number of simultaneous clients.
 #[cfg(not(target_family = "wasm"))]
@@ -298,7 +298,10 @@ impl Bench {
 
     pub(crate) fn set_part(&mut self, part: Option<Part>, now: Time) {
         match part {
-            Some(part) => self.note(now, format_args!("part {} mm, {} N/mm", part.width(), part.stiffness())),
+            Some(part) => self.note(
+                now,
+                format_args!("part {} mm, {} N/mm", Number(part.width()), Number(part.stiffness())),
+            ),
             None => self.note(now, format_args!("no part")),
         }
         self.act(now, |gripper, now| gripper.set_part(part, now));
@@ -325,7 +328,9 @@ impl Bench {
             self.stopped_at = now;
         }
         match force {
-            Some(force) => self.note(now, format_args!("{command}, force limit {force} N: {status}")),
+            Some(force) => {
+                self.note(now, format_args!("{command}, force limit {} N: {status}", Number(force)))
+            }
             None => self.note(now, format_args!("{command}: {status}")),
         }
         status

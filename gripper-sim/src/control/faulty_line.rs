@@ -6,6 +6,7 @@
 use super::json::{members, names};
 use crate::time::Time;
 use std::collections::VecDeque;
+use wsg_protocol::Number;
 
 /// Capacity of the line for a client with flow control, in frames.
 const MAX_WAITING: usize = 64;
@@ -58,13 +59,18 @@ impl LineFaults {
     }
 
     pub(crate) fn are_none(&self) -> bool {
-        [self.drop, self.delay, self.corrupt, self.truncate, self.duplicate].iter().all(|rate| *rate <= 0.0)
+        self.rates().iter().all(|rate| *rate <= 0.0)
+    }
+
+    const fn rates(&self) -> [f32; 5] {
+        [self.drop, self.delay, self.corrupt, self.truncate, self.duplicate]
     }
 }
 
 impl std::fmt::Display for LineFaults {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = self;
+        let Self { direction, delay_ms, .. } = self;
+        let [drop, delay, corrupt, truncate, duplicate] = self.rates().map(Number);
         let of = match direction {
             FaultDirection::Requests => "of requests",
             FaultDirection::Replies => "of replies",

@@ -7,6 +7,7 @@ use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
 use crate::finger::{Finger, Jaw};
+use wsg_protocol::Number;
 
 pub(crate) const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), "inner_width_mm":15.0 for a hollow part, or null for no part"#;
 pub(crate) const FAULT_EXPECTED: &str =
@@ -40,9 +41,12 @@ pub(crate) fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
         None => solid,
     };
     part.map(Some).ok_or_else(|| {
-        let hole = inner_width_mm.map(|width| format!(" and a hole of {width} mm")).unwrap_or_default();
+        let hole =
+            inner_width_mm.map(|width| format!(" and a hole of {} mm", Number(width))).unwrap_or_default();
         HttpError::wrong(format!(
-            "a part {width_mm} mm wide with {stiffness} N/mm{hole} is invalid; expected {PART_EXPECTED}"
+            "a part {} mm wide with {} N/mm{hole} is invalid; expected {PART_EXPECTED}",
+            Number(width_mm),
+            Number(stiffness)
         ))
     })
 }
@@ -144,7 +148,7 @@ pub(crate) fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
         ("duplicate", duplicate),
     ] {
         if !(0.0..=1.0).contains(&rate) {
-            return Err(HttpError::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
+            return Err(HttpError::wrong(format!("{name} is {}; expected {LINE_EXPECTED}", Number(rate))));
         }
     }
     if delay_ms > LineFaults::MAX_DELAY_MS {

@@ -1,7 +1,8 @@
 //! JSON with little code, because each visitor of the page without a server loads it. Errors name the member.
 
+use crate::time::Time;
 use std::fmt::Write as _;
-use wsg_protocol::editor;
+use wsg_protocol::{Number, editor};
 
 /// The deepest nesting of arrays and objects that is read.
 const MAX_DEPTH: u8 = 16;
@@ -331,17 +332,26 @@ macro_rules! by_display {
 }
 by_display!(bool u8 u16 u32 u64 i16);
 
-/// Implements [`ToJson`] for floating-point numbers. JSON has no infinite ones.
-macro_rules! floats {
-    ($($type:ty)*) => {$(
-        impl ToJson for $type {
-            fn write(&self, json: &mut String) {
-                let _ = if self.is_finite() { write!(json, "{self:?}") } else { write!(json, "null") };
-            }
+/// JSON has no infinite numbers.
+impl ToJson for f32 {
+    fn write(&self, json: &mut String) {
+        let text = Number(*self).to_string();
+        json.push_str(if self.is_finite() { &text } else { "null" });
+        if self.is_finite() && text.bytes().all(|byte| byte.is_ascii_digit() || byte == b'-') {
+            json.push_str(".0");
         }
-    )*};
+    }
 }
-floats!(f32 f64);
+
+/// A moment is its number of seconds.
+impl ToJson for Time {
+    fn write(&self, json: &mut String) {
+        let micros = self.as_micros();
+        let _ = write!(json, "{}.{:06}", micros / 1_000_000, micros % 1_000_000);
+        json.truncate(json.trim_end_matches('0').len());
+        json.push_str(if json.ends_with('.') { "0" } else { "" });
+    }
+}
 
 /// Implements [`FromJson`] for whole numbers.
 macro_rules! integers {
@@ -562,13 +572,13 @@ mod tests {
         let text = "a\"\\\n\t\u{1}\u{7f}ä😀[{";
         let numbers = [0.1f32, 50.0, -1.5e-7, 1e16, f32::NAN];
         let json = object! {
-            "text": text, "numbers": numbers, "wide": [0.1f64, 50.0], "none": None::<u8>, "left": IfSome(None::<u8>),
+            "text": text, "numbers": numbers, "times": [0, 12_345_678, 2_500_000, 10_000_000].map(Time::from_micros), "none": None::<u8>, "left": IfSome(None::<u8>),
             "pair": (true, u64::MAX), "lists": [vec!["["], vec![]], "inner": Json(&object! {}),
         };
         let expected = concat!(
             r#"{"text":"a\"\\\n\u0009\u0001"#,
             "\u{7f}ä😀[{\"",
-            r#","numbers":[0.1,50.0,-1.5e-7,1e16,null],"wide":[0.1,50.0],"none":null,"#,
+            r#","numbers":[0.1,50.0,-1.5e-7,1e16,null],"times":[0.0,12.345678,2.5,10.0],"none":null,"#,
             r#""pair":[true,18446744073709551615],"lists":[["["],[]],"inner":{}}"#
         );
         assert_eq!(json, expected);

@@ -47,9 +47,9 @@ impl Publisher {
         let report = bench.report(now);
         let state = state::of(bench, &report, None);
         if state != self.state || now >= self.due {
-            let time_s = report.now.as_micros() as f64 / 1e6;
-            let as_of = as_of(bench, report.now);
-            events.push(("state", object! { "time_s": time_s, "as_of": as_of, "state": Json(&state) }));
+            let json =
+                object! { "time_s": report.now, "as_of": as_of(bench, report.now), "state": Json(&state) };
+            events.push(("state", json));
             (self.state, self.due) = (state, now.plus_millis(HEARTBEAT_MS));
         }
         let entries = bench.system_log().entries_from(self.next_entry);

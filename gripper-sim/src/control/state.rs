@@ -25,7 +25,7 @@ pub(super) fn of(bench: &Bench, report: &Report, named: Option<Time>) -> String 
     let Report { state, faults, line_faults, line_counts, clients, .. } = report;
     object! {
         "model": bench.config().model.name(),
-        "time_s": IfSome(named.map(|now| now.as_micros() as f64 / 1e6)),
+        "time_s": IfSome(named),
         "as_of": IfSome(named.map(|now| as_of(bench, now))),
         "width_mm": state.width,
         "reported_width_mm": state.reported_width,

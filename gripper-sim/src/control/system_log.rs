@@ -47,7 +47,7 @@ pub(crate) struct Entry {
     /// Date and time of the system, in UTC.
     pub(crate) date: String,
     /// Seconds since power-up.
-    pub(crate) time_s: f64,
+    pub(crate) time_s: Time,
     pub(crate) severity: Severity,
     /// The origin, such as `tcp 127.0.0.1:50124`, `page` or `script`.
     pub(crate) source: String,
@@ -58,7 +58,9 @@ members!(Entry: number, date, time_s, severity, source, text);
 impl std::fmt::Display for Entry {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { date, time_s, severity, source, text, .. } = self;
-        write!(f, "{date} {time_s:.3} s {:7} {source}: {text}", severity.name())
+        let millis = (time_s.as_micros() + 500) / 1_000;
+        let (seconds, millis) = (millis / 1_000, millis % 1_000);
+        write!(f, "{date} {seconds}.{millis:03} s {:7} {source}: {text}", severity.name())
     }
 }
 
@@ -87,7 +89,7 @@ impl SystemLog {
         let entry = Entry {
             number: entries.next,
             date: (entries.date)(),
-            time_s: now.as_micros() as f64 / 1e6,
+            time_s: now,
             severity,
             source: one_line(source).into_owned(),
             text: one_line(&text.chars().take(MAX_TEXT_LEN).collect::<String>()).into_owned(),

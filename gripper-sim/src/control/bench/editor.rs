@@ -37,7 +37,7 @@ impl FrameBody {
 #[derive(Clone, Debug)]
 pub(crate) struct Exchanged {
     pub(crate) number: u64,
-    time_s: f64,
+    time_s: Time,
     /// `->` to the gripper, `<-` from it.
     direction: String,
     id: u8,
@@ -51,8 +51,7 @@ impl Exchanged {
         let id = bytes.get(PREAMBLE_LEN).copied().unwrap_or(0);
         let payload = bytes.get(PREAMBLE_LEN + 3..bytes.len().saturating_sub(2)).unwrap_or(&[]);
         let meaning = Meaning { direction, frame: Frame { id, payload } }.to_string();
-        let time_s = now.as_micros() as f64 / 1e6;
-        Self { number: 0, time_s, direction: direction.to_string(), id, bytes: bytes.to_vec(), meaning }
+        Self { number: 0, time_s: now, direction: direction.to_string(), id, bytes: bytes.to_vec(), meaning }
     }
 }
 
