@@ -61,6 +61,7 @@ use injected::{FAULT_EXPECTED, FaultBody, LINE_EXPECTED, PART_EXPECTED, line_fau
 use json::{FromJson, object};
 use settings::{SETTINGS_EXPECTED, SettingsBody, change, settings};
 pub(crate) use state::state;
+use wsg_protocol::editor::Quoted;
 
 /// What the control interface needs of the program around it.
 pub(crate) trait Host {
@@ -136,7 +137,12 @@ impl Action {
                 Self::Fault(which_fault(config, fault, finger)?, on)
             }
             ("/line", Some(body)) => Self::Line(line_faults(&parsed(body, wanted)?)?),
-            _ => return Err(HttpError::new(status::NOT_FOUND, format!("the path {path:?} is unknown"))),
+            _ => {
+                return Err(HttpError::new(
+                    status::NOT_FOUND,
+                    format!("the path {} is unknown", Quoted(path)),
+                ));
+            }
         })
     }
 

@@ -163,7 +163,7 @@ impl MotionControl {
     /// Takes over the settings of the following motions. Reference and state stay.
     pub(crate) fn reconfigure(&mut self, config: &Config) {
         let limits = &self.parameters.limits;
-        let time_scale = config.time_scale.max(Config::MIN_TIME_SCALE).min(Config::MAX_TIME_SCALE);
+        let time_scale = config.time_scale.clamp(Config::MIN_TIME_SCALE, Config::MAX_TIME_SCALE);
         self.homing_default = config.homing_default;
         self.homing_speed = config
             .homing_speed

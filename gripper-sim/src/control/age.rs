@@ -8,6 +8,7 @@ use super::answer::{HttpError, status};
 use super::bench::Bench;
 use crate::time::Time;
 use wsg_protocol::Number;
+use wsg_protocol::editor::Quoted;
 
 /// Maximum age of the state that the sender of a request saw, in ms.
 pub(crate) const MAX_AGE_MS: u64 = 1_000;
@@ -40,7 +41,7 @@ pub(crate) fn check(bench: &Bench, now: Time, effect: Effect, as_of: &str) -> Re
         Some((u64::from_str_radix(run, 16).ok()?, Time::from_micros(micros.parse().ok()?)))
     });
     let Some((run, at)) = seen.filter(|(run, at)| *run != bench.run() || *at <= now) else {
-        let error = format!("{as_of:?} names no state of this gripper; expected as_of of GET /state");
+        let error = format!("{} names no state of this gripper; expected as_of of GET /state", Quoted(as_of));
         return Err(HttpError::wrong(error));
     };
     let age = now.as_micros().saturating_sub(at.as_micros());

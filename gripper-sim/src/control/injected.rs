@@ -92,7 +92,7 @@ pub(crate) fn which_fault(config: &Config, name: FaultName, finger: Option<u8>) 
             return Ok(fault(jaw));
         }
         let error =
-            format!("the finger is {:?}, which cannot have this fault; expected {needs}", mounted.name());
+            format!("the finger is \"{}\", which cannot have this fault; expected {needs}", mounted.name());
         Err(HttpError::new(status::CONFLICT, error))
     };
     let fault = match name {

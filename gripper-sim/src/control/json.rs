@@ -208,7 +208,7 @@ impl Value {
             Self::Null => format!("null is not {expected}"),
             Self::Bool(value) => format!("{value} is not {expected}"),
             Self::Number(text) => format!("{text} is not {expected}"),
-            Self::Text(text) => format!("{text:?} is not {expected}"),
+            Self::Text(text) => format!("{} is not {expected}", editor::Quoted(text)),
             Self::List(_) => format!("a list is not {expected}"),
             Self::Object(_) => format!("an object is not {expected}"),
         }

@@ -3,6 +3,7 @@
 use super::Host;
 use super::answer::{HttpError, status};
 use super::json::{FromJson, ToJson, Value, body, members, object};
+use wsg_protocol::editor::Quoted;
 
 /// Headings of settings.
 pub(crate) const COMMAND: &str = "Command interface";
@@ -114,9 +115,9 @@ pub(crate) fn changed_settings<'a>(
     let value = |words: &Vec<String>| if words.is_empty() { "on".to_owned() } else { words.join(", ") };
     let text = |words: Option<&Vec<String>>| words.map_or_else(|| "default".to_owned(), value);
     let changed: Vec<&String> =
-        changes.iter().map(|(name, _)| name).filter(|name| before.get(*name) != after.get(*name)).collect();
+        changes.iter().map(|(name, _)| name).filter(|name| before.get(name) != after.get(name)).collect();
     for name in &changed {
-        let [before, now] = [before, after].map(|given| text(given.get(*name)));
+        let [before, now] = [before, after].map(|given| text(given.get(name)));
         report(&format!("setting {name}: {before} -> {now}"));
     }
     changed
@@ -191,7 +192,8 @@ pub(crate) fn change(host: &mut impl Host, body: SettingsBody) -> Result<(), Htt
         .into_iter()
         .map(|(name, value)| {
             let state = table.iter().find(|setting| setting.row.name == name).ok_or_else(|| {
-                HttpError::wrong(format!("the setting {name:?} is unknown; expected one of GET /settings"))
+                let name = Quoted(&name);
+                HttpError::wrong(format!("the setting {name} is unknown; expected one of GET /settings"))
             })?;
             let words = words(state, value).ok_or_else(|| {
                 let expected = match (&state.row.unit, state.row.is_list) {
