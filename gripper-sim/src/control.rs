@@ -113,8 +113,11 @@ pub(crate) fn expected(path: &str) -> Option<&'static str> {
 
 /// Parses the body of a request.
 pub(crate) fn parsed<T: FromJson>(body: &[u8], expected: &str) -> Result<T, HttpError> {
-    json::read(body)
-        .map_err(|error| HttpError::wrong(format!("the body is invalid: {error}; expected {expected}")))
+    json::read(body).map_err(|error| invalid(&error, expected))
+}
+
+fn invalid(error: &str, expected: &str) -> HttpError {
+    HttpError::wrong(format!("the body is invalid: {error}; expected {expected}"))
 }
 
 impl Action {

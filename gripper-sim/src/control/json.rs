@@ -149,9 +149,17 @@ fn write_list(json: &mut String, items: &mut dyn Iterator<Item = &dyn ToJson>) {
 /// Fails if the member is missing, or has another kind.
 pub fn take<T: FromJson>(members: &mut Vec<(String, Value)>, name: &str) -> Result<T, String> {
     match taken(members, name) {
-        Some(value) => T::from_json(value).map_err(|error| format!("`{name}`: {error}")),
-        None => T::missing().ok_or_else(|| format!("missing field `{name}`")),
+        Some(value) => T::from_json(value).map_err(|error| within(name, &error)),
+        None => T::missing().ok_or_else(|| missing(name)),
     }
+}
+
+fn within(name: &str, error: &str) -> String {
+    format!("`{name}`: {error}")
+}
+
+fn missing(name: &str) -> String {
+    format!("missing field `{name}`")
 }
 
 fn taken(members: &mut Vec<(String, Value)>, name: &str) -> Option<Value> {
@@ -204,14 +212,16 @@ impl Value {
 
     /// Returns the error for a value of the wrong kind.
     fn is_not(&self, expected: &str) -> String {
-        match self {
-            Self::Null => format!("null is not {expected}"),
-            Self::Bool(value) => format!("{value} is not {expected}"),
-            Self::Number(text) => format!("{text} is not {expected}"),
-            Self::Text(text) => format!("{} is not {expected}", editor::Quoted(text)),
-            Self::List(_) => format!("a list is not {expected}"),
-            Self::Object(_) => format!("an object is not {expected}"),
-        }
+        let found = match self {
+            Self::Null => "null",
+            Self::Bool(true) => "true",
+            Self::Bool(false) => "false",
+            Self::Number(text) => text,
+            Self::Text(text) => return format!("{} is not {expected}", editor::Quoted(text)),
+            Self::List(_) => "a list",
+            Self::Object(_) => "an object",
+        };
+        format!("{found} is not {expected}")
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::Host;
 use super::answer::{HttpError, status};
-use super::json::{FromJson, ToJson, Value, body, members, object};
+use super::json::{FromJson, ToJson, Value, object};
 use wsg_protocol::editor::Quoted;
 
 /// Headings of settings.
@@ -15,6 +15,9 @@ pub(crate) const DEVICE: &str = "Device";
 pub(crate) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE];
 
 pub(crate) const SETTINGS_EXPECTED: &str = r#"an object with the settings to change, such as {"clamping-travel":4,"homing-at-start":true,"tag":null}, where null is the default"#;
+
+/// Stands for the unit of a switch in `settings.tsv`.
+const SWITCH: &str = "switch";
 
 /// One row of the table of settings.
 #[derive(Debug)]
@@ -34,8 +37,35 @@ pub(crate) struct Setting {
     /// Whether the value is a list.
     pub(crate) is_list: bool,
 }
-members!(Setting: name, group, meaning, default, unit, choices, expected, is_at_once, is_list);
-body!(Setting: name, group, meaning, default, unit, choices, expected, is_at_once, is_list);
+
+impl Setting {
+    /// Returns the row in a line of `settings.tsv`.
+    #[cfg(all(test, feature = "std"))]
+    pub(crate) fn line(&self) -> String {
+        let unit = self.unit.as_deref().unwrap_or(SWITCH);
+        let mut words = vec![&self.name[..], &self.group, &self.meaning, &self.default, unit, &self.expected];
+        words.extend([self.is_at_once, self.is_list].map(|is_so| if is_so { "yes" } else { "no" }));
+        words.extend(self.choices.iter().map(String::as_str));
+        words.join("\t") + "\n"
+    }
+
+    /// Returns the row of a line of `settings.tsv`.
+    pub(crate) fn of(line: &str) -> Self {
+        let mut words = line.split('\t').map(str::to_owned);
+        let mut next = || words.next().unwrap_or_default();
+        Self {
+            name: next(),
+            group: next(),
+            meaning: next(),
+            default: next(),
+            unit: Some(next()).filter(|unit| unit != SWITCH),
+            expected: next(),
+            is_at_once: next() == "yes",
+            is_list: next() == "yes",
+            choices: words.collect(),
+        }
+    }
+}
 
 /// A setting with its value.
 #[derive(Debug)]

@@ -3,7 +3,7 @@
 use super::answer::status;
 use super::bench::{Bench, PAGE};
 use super::faulty_line::Latency;
-use super::json::{self, object};
+use super::json::object;
 use super::log::Log;
 use super::publisher::{Event, Publisher, hello};
 use super::settings::{Changes, Given, Refused, Setting, SettingState, changed_settings};
@@ -15,7 +15,7 @@ use std::sync::LazyLock;
 
 /// The table of settings, as the command line of `wsg-sim` defines it. A test compares them.
 static TABLE: LazyLock<Vec<Setting>> =
-    LazyLock::new(|| json::read(include_bytes!("settings.json")).unwrap_or_default());
+    LazyLock::new(|| include_str!("settings.tsv").lines().map(Setting::of).collect());
 
 /// Interval between two samples of the history, in ms.
 const SAMPLE_MS: u64 = 50;

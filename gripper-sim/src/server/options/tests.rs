@@ -3,8 +3,7 @@
 use super::table::AT_ONCE;
 use super::*;
 use crate::axis::Part;
-use crate::control::json::ToJson as _;
-use crate::control::words;
+use crate::control::{Setting, words};
 
 fn options(arguments: &[&str]) -> Result<Options> {
     Options::parse(arguments.iter().map(OsString::from).collect())
@@ -418,13 +417,8 @@ fn settings_change_one_by_one_and_return_to_their_defaults() {
 /// A page without a server has no command line: it has the table, and its own parser of the settings of the gripper.
 #[test]
 fn page_without_a_server_has_the_same_settings() {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/control/settings.json");
-    let mut rows = String::new();
-    for row in settings() {
-        rows += if rows.is_empty() { "[\n" } else { ",\n" };
-        row.write(&mut rows);
-    }
-    let table = rows + "\n]\n";
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/control/settings.tsv");
+    let table: String = settings().iter().map(Setting::line).collect();
     if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
         std::fs::write(file, &table).unwrap();
     }
