@@ -217,26 +217,25 @@ pub(crate) fn settings(host: &mut impl Host) -> Result<String, HttpError> {
 /// Changes the settings, all or none.
 pub(crate) fn change(host: &mut impl Host, body: SettingsBody) -> Result<(), HttpError> {
     let table = host.settings().ok_or_else(no_options)?;
-    let changes: Result<Changes, HttpError> = body
-        .0
-        .into_iter()
-        .map(|(name, value)| {
-            let state = table.iter().find(|setting| setting.row.name == name).ok_or_else(|| {
-                let name = Quoted(&name);
-                HttpError::wrong(format!("the setting {name} is unknown; expected one of GET /settings"))
-            })?;
-            let words = words(state, value).ok_or_else(|| {
-                let expected = match (&state.row.unit, state.row.is_list) {
-                    (None, _) => "true or false",
-                    (_, true) => "a list of texts",
-                    _ => "a number, a text or null",
-                };
-                HttpError::wrong(format!("{name} has the wrong type; expected {expected}"))
-            })?;
-            Ok((name, words))
-        })
-        .collect();
-    host.change_settings(&changes?).map_err(|refused| match refused {
+    let mut changes = Changes::new();
+    for (name, value) in body.0 {
+        let state = table.iter().find(|setting| setting.row.name == name).ok_or_else(|| {
+            let name = Quoted(&name);
+            HttpError::wrong(format!("the setting {name} is unknown; expected one of GET /settings"))
+        })?;
+        let words = words(state, value).ok_or_else(|| {
+            let expected = match (&state.row.unit, state.row.is_list) {
+                (None, _) => "true or false",
+                (_, true) => "a list of texts",
+                _ => "a number, a text or null",
+            };
+            HttpError::wrong(format!("{name} has the wrong type; expected {expected}"))
+        })?;
+        // In the order of their names, for the log and the file.
+        let at = changes.partition_point(|(known, _)| *known < name);
+        changes.insert(at, (name, words));
+    }
+    host.change_settings(&changes).map_err(|refused| match refused {
         Refused::NoOptions => no_options(),
         Refused::Invalid(error) => HttpError::wrong(error),
         Refused::Moving => {
