@@ -23,7 +23,7 @@ pub trait FromJson: Sized {
     /// Returns the value.
     ///
     /// # Errors
-    /// Fails on a value of another kind, and says what was expected.
+    /// Fails on a value of another kind, and names the expected one.
     fn from_json(value: Value) -> Result<Self, String>;
 
     /// Returns the value of a missing member; `None` if an object must have it.
