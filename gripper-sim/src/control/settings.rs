@@ -175,7 +175,7 @@ impl ToJson for SettingState {
         // Null for the default.
         let value: &dyn ToJson = match given.as_deref() {
             None if kind == "switch" => &false,
-            Some([]) if kind == "switch" => &true,
+            Some([]) if kind != "list" => &true,
             Some([word, ..]) if kind != "list" => word,
             _ => given,
         };
