@@ -246,7 +246,7 @@ impl Axis {
     /// Ends all motion and force exactly at `width`, which lies between the previous position and the current one.
     pub(crate) fn halt_at(&mut self, width: f64) {
         self.halt();
-        self.width = width.clamp(0.0, self.stroke);
+        self.width = width.max(0.0).min(self.stroke);
     }
 
     /// Returns whether the drive is at its target.

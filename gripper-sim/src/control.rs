@@ -15,6 +15,7 @@ mod executed;
 mod faulty_line;
 mod history;
 mod injected;
+pub mod json;
 mod latest_script;
 mod log;
 mod publisher;
@@ -57,10 +58,10 @@ use bench::{FRAME_EXPECTED, FrameBody};
 use commands::COMMAND_EXPECTED;
 use faulty_line::LineFaults;
 use injected::{FAULT_EXPECTED, FaultBody, LINE_EXPECTED, PART_EXPECTED, line_faults, part, which_fault};
-use publisher::object;
-use serde::Deserialize;
+use json::{FromJson, object};
 use settings::{SETTINGS_EXPECTED, SettingsBody, change, settings};
 pub(crate) use state::state;
+use wsg_protocol::editor::Quoted;
 
 /// What the control interface needs of the program around it.
 pub(crate) trait Host {
@@ -111,9 +112,12 @@ pub(crate) fn expected(path: &str) -> Option<&'static str> {
 }
 
 /// Parses the body of a request.
-pub(crate) fn parsed<'a, T: Deserialize<'a>>(body: &'a [u8], expected: &str) -> Result<T, HttpError> {
-    serde_json::from_slice(body)
-        .map_err(|error| HttpError::wrong(format!("the body is invalid: {error}; expected {expected}")))
+pub(crate) fn parsed<T: FromJson>(body: &[u8], expected: &str) -> Result<T, HttpError> {
+    json::read(body).map_err(|error| invalid(&error, expected))
+}
+
+fn invalid(error: &str, expected: &str) -> HttpError {
+    HttpError::wrong(format!("the body is invalid: {error}; expected {expected}"))
 }
 
 impl Action {
@@ -136,7 +140,12 @@ impl Action {
                 Self::Fault(which_fault(config, fault, finger)?, on)
             }
             ("/line", Some(body)) => Self::Line(line_faults(&parsed(body, wanted)?)?),
-            _ => return Err(HttpError::new(status::NOT_FOUND, format!("the path {path:?} is unknown"))),
+            _ => {
+                return Err(HttpError::new(
+                    status::NOT_FOUND,
+                    format!("the path {} is unknown", Quoted(path)),
+                ));
+            }
         })
     }
 
@@ -154,10 +163,10 @@ impl Action {
     /// Executes the action. The answer is the state, unless the request names something else.
     pub(crate) fn execute(self, host: &mut impl Host) -> Result<Answer, HttpError> {
         match self {
-            Self::Settings => return Answer::json(&settings(host)?),
+            Self::Settings => return settings(host).map(Answer::of_json),
             Self::Change(body) => {
                 change(host, body)?;
-                return Answer::json(&settings(host)?);
+                return settings(host).map(Answer::of_json);
             }
             Self::Restart => {
                 settings(host)?;
@@ -169,21 +178,21 @@ impl Action {
             match self {
                 Self::Log => {
                     let entries = bench.system_log().entries_from(0);
-                    return Ok(Answer::of_json(object("entries", &entries)));
+                    return Ok(Answer::of_json(object! { "entries": entries }));
                 }
                 Self::LogFile => {
                     let lines = bench.system_log().entries_from(0).into_iter();
                     return Ok(Answer::LogFile(lines.map(|entry| format!("{entry}\n")).collect()));
                 }
-                Self::Frames => return Ok(Answer::of_json(object("frames", &bench.frames_from(0)))),
-                Self::Frame(body) => return Answer::json(&bench.take_frame(&body, now)?),
+                Self::Frames => return Ok(Answer::of_json(object! { "frames": bench.frames_from(0) })),
+                Self::Frame(body) => return Ok(Answer::json(&bench.take_frame(&body, now)?)),
                 Self::Command(body) => body.execute(bench, now)?,
                 Self::Part(part) => bench.set_part(part, now),
                 Self::Fault(fault, on) => bench.set_fault(fault, on, now),
                 Self::Line(faults) => bench.set_line_faults(faults, now),
                 Self::State | Self::Restart | Self::Settings | Self::Change(_) => {}
             }
-            state(bench, now).map(Answer::of_json)
+            Ok(Answer::of_json(state(bench, now)))
         })
     }
 }

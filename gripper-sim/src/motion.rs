@@ -167,7 +167,7 @@ impl MotionControl {
         self.homing_default = config.homing_default;
         self.homing_speed = config
             .homing_speed
-            .map_or(self.parameters.homing_speed, |speed| speed.clamp(limits.min_speed, limits.max_speed))
+            .map_or(self.parameters.homing_speed, |speed| speed.max(limits.min_speed).min(limits.max_speed))
             .into();
         self.clamping_travel = config.clamping_travel.into();
         self.part_width_tolerance = config.part_width_tolerance.into();
@@ -286,7 +286,7 @@ impl MotionControl {
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
-        let target = target.clamp(0.0, self.stroke());
+        let target = target.max(0.0).min(self.stroke());
         let stop_on_block = flags.contains(PrePositionFlags::STOP_ON_BLOCK);
         let force = if stop_on_block {
             self.settings.force_limit().into()
@@ -303,7 +303,7 @@ impl MotionControl {
         if let Err(refused) = self.may_go_to(width.into()) {
             return refused;
         }
-        let nominal = f64::from(width).clamp(0.0, self.stroke());
+        let nominal = f64::from(width).max(0.0).min(self.stroke());
         let clamping_travel = self.clamping_travel;
         let direction = match self.grip_direction {
             Some(direction) if self.lies_beyond(direction, nominal) => return Status::RangeError,
@@ -343,7 +343,7 @@ impl MotionControl {
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
-        let travel = self.release_travel(target.clamp(0.0, self.stroke()), speed);
+        let travel = self.release_travel(target.max(0.0).min(self.stroke()), speed);
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 
@@ -531,7 +531,7 @@ impl MotionControl {
         let limits = &self.parameters.limits;
         Travel {
             target,
-            speed: speed.clamp(limits.min_speed, limits.max_speed).into(),
+            speed: speed.max(limits.min_speed).min(limits.max_speed).into(),
             acceleration: self.settings.acceleration().into(),
             force,
             squeeze: force,
@@ -542,7 +542,7 @@ impl MotionControl {
     fn release_travel(&self, target: f64, speed: f32) -> Travel {
         let limits = &self.parameters.limits;
         let nominal = limits.nominal_force.into();
-        let squeeze = self.axis.force().clamp(limits.min_force.into(), nominal);
+        let squeeze = self.axis.force().max(limits.min_force.into()).min(nominal);
         Travel { squeeze, ..self.travel(target, speed, nominal) }
     }
 

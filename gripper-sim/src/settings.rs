@@ -43,7 +43,7 @@ impl Settings {
 
     pub(crate) const fn set_acceleration(&mut self, acceleration: f32) -> Status {
         let limits = &self.system_limits;
-        self.acceleration = acceleration.clamp(limits.min_acceleration, limits.max_acceleration);
+        self.acceleration = acceleration.max(limits.min_acceleration).min(limits.max_acceleration);
         Status::Success
     }
 
@@ -59,7 +59,7 @@ impl Settings {
 
     /// Returns the permitted force in N that is closest to `force`.
     pub(crate) const fn possible_force(&self, force: f32) -> f32 {
-        force.clamp(self.system_limits.min_force, self.greatest_force())
+        force.max(self.system_limits.min_force).min(self.greatest_force())
     }
 
     pub(crate) const fn is_overdrive(&self) -> bool {

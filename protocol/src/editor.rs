@@ -3,7 +3,7 @@
 //!
 //! `wsg gripper ADDRESS raw` and the page of `wsg-sim` both use it.
 
-use core::fmt::{Display, Formatter};
+use core::fmt::{Display, Formatter, Write as _};
 
 use crate::command::CommandId;
 use crate::decimal;
@@ -28,31 +28,45 @@ pub enum EditorError<'a> {
 
 impl Display for EditorError<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Command(text) => write!(
-                f,
-                "unknown command {text:?}; expected a name such as \"Grip Part\", or an id from 0 to 255 such as 0x25"
-            ),
+        let (text, is_wrong) = match *self {
+            Self::Command(text) => {
+                f.write_str("unknown command ")?;
+                (text, "; expected a name such as \"Grip Part\", or an id from 0 to 255 such as 0x25")
+            }
             Self::Value(text) => {
-                write!(
-                    f,
-                    "{text:?} is no value; expected bytes such as 32 or 0x20, floats such as 150.0f, or \"text\""
-                )
+                (text, " is no value; expected bytes such as 32 or 0x20, floats such as 150.0f, or \"text\"")
             }
-            Self::Byte(text) => write!(f, "{text:?} is no byte; expected 0 to 255 or 0x00 to 0xFF"),
-            Self::Float(text) => write!(f, "{text:?} is no finite float; expected a number such as 150.0f"),
+            Self::Byte(text) => (text, " is no byte; expected 0 to 255 or 0x00 to 0xFF"),
+            Self::Float(text) => (text, " is no finite float; expected a number such as 150.0f"),
             Self::Text(text) => {
-                write!(
-                    f,
-                    "{text:?} is no text; expected printable ASCII in quotation marks, such as \"text\""
-                )
+                (text, " is no text; expected printable ASCII in quotation marks, such as \"text\"")
             }
-            Self::TooLong(limit) => write!(f, "the payload is too long; expected at most {limit} bytes"),
-        }
+            Self::TooLong(limit) => {
+                return write!(f, "the payload is too long; expected at most {limit} bytes");
+            }
+        };
+        write!(f, "{}{is_wrong}", Quoted(text))
     }
 }
 
 impl core::error::Error for EditorError<'_> {}
+
+/// A text in quotation marks, in one line. `{:?}` has the tables of all printable characters.
+#[derive(Clone, Copy, Debug)]
+pub struct Quoted<'a>(pub &'a str);
+
+impl Display for Quoted<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
+        f.write_str("\"")?;
+        for char in self.0.chars() {
+            match char {
+                '\0'..' ' | '"' | '\\' | '\u{7f}'..'\u{a0}' => write!(f, "{}", char.escape_default())?,
+                char => f.write_char(char)?,
+            }
+        }
+        f.write_str("\"")
+    }
+}
 
 /// Parses a command: its id (`37`, `0x25` or `25h`), or its name in the manual. Names ignore case, and blanks, hyphens
 /// and underscores.

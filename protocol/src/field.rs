@@ -1,5 +1,6 @@
 //! Encoding of single values in a payload: little endian, exact length, validated (command set, chapter 1).
 
+use crate::Number;
 use core::fmt::{Display, Formatter};
 
 /// The reason why a payload was rejected.
@@ -124,7 +125,7 @@ impl Field<'_> for f32 {
     }
 
     fn describe(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
-        write!(f, "{self:.1}")
+        write!(f, "{:.1}", Number(*self))
     }
 }
 

@@ -75,6 +75,7 @@ pub mod frame;
 pub mod gcl;
 pub mod limits;
 mod meaning;
+mod number;
 #[doc(hidden)]
 pub mod queue;
 pub mod reply;
@@ -93,6 +94,7 @@ pub use command::{Command, CommandId, Kind};
 pub use field::DecodeError;
 pub use frame::{Event, Frame, FrameCounters, FrameEncoder, FrameParser, Payload};
 pub use meaning::{Direction, Meaning};
+pub use number::Number;
 pub use reply::{Reply, Value};
 pub use time::Instant;
 pub use types::{

@@ -37,6 +37,7 @@
 use core::fmt::{Display, Formatter};
 use core::ops::RangeInclusive;
 
+use crate::Number;
 use crate::command::Command;
 use crate::types::{PrePositionFlags, SystemFlags, SystemLimits};
 
@@ -136,7 +137,7 @@ impl Eq for OutOfLimits {}
 impl Display for OutOfLimits {
     fn fmt(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
         let Self { quantity, value, least, greatest } = *self;
-        let (unit, least) = (quantity.unit(), rounded(least));
+        let (unit, value, least) = (quantity.unit(), Number(value), rounded(least));
         write!(f, "{quantity} {value} {unit} is outside the gripper's limits, ")?;
         if greatest.is_finite() {
             write!(f, "{least} to {} {unit}", rounded(greatest))
@@ -149,9 +150,9 @@ impl Display for OutOfLimits {
 impl core::error::Error for OutOfLimits {}
 
 /// Rounds a limit to 1/100, for its text.
-fn rounded(limit: f32) -> f32 {
+fn rounded(limit: f32) -> Number {
     let half = if limit < 0.0 { -0.5 } else { 0.5 };
-    (limit * 100.0 + half) as i32 as f32 / 100.0
+    Number((limit * 100.0 + half) as i32 as f32 / 100.0)
 }
 
 /// Accuracy of a measured width, in mm: a relative motion back to an end of the stroke is permitted although the measured

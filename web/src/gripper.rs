@@ -1,10 +1,10 @@
 //! The gripper of a page, with the control interface of `wsg-sim`.
 
-use serde::Deserialize;
 use std::cell::RefCell;
 use std::fmt::Write;
 use wsg_sim::Time;
 use wsg_sim::control::Simulator;
+use wsg_sim::control::json::{self, body, object};
 
 thread_local! {
     static GRIPPER: RefCell<Option<Simulator>> = const { RefCell::new(None) };
@@ -13,7 +13,7 @@ thread_local! {
 }
 
 /// A call of the worker of the page.
-#[derive(Debug, Deserialize)]
+#[derive(Debug)]
 struct Call {
     /// A random number, for the first call.
     run: u64,
@@ -26,19 +26,21 @@ struct Call {
     as_of: Option<String>,
     body: Option<String>,
     /// Whether the stream of events begins.
-    #[serde(default)]
     opens: bool,
     /// Whether the events until now are wanted.
-    #[serde(default)]
     streams: bool,
 }
+body!(Call: run, date, now, path, as_of, body, #[default] opens, #[default] streams);
 
 /// Answers a call: a request with its status in a line before the answer, and otherwise with an array of events, each its kind and
 /// its data.
 pub(crate) fn call(call: &[u8]) -> Vec<u8> {
-    let mut call: Call = match serde_json::from_slice(call) {
+    let mut call: Call = match json::read(call) {
         Ok(call) => call,
-        Err(error) => return format!("400\n{{\"error\":\"the call is invalid: {error}\"}}").into_bytes(),
+        Err(error) => {
+            let error = object! { "error": format!("the call is invalid: {error}") };
+            return format!("400\n{error}").into_bytes();
+        }
     };
     DATE.set(std::mem::take(&mut call.date));
     GRIPPER.with_borrow_mut(|gripper| {

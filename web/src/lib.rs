@@ -12,6 +12,11 @@ pub mod station;
 
 use std::cell::RefCell;
 
+/// Has half the code of the standard library's allocator.
+#[cfg(target_family = "wasm")]
+#[global_allocator]
+static ALLOCATOR: talc::wasm::WasmDynamicTalc = talc::wasm::new_wasm_dynamic_allocator();
+
 thread_local! {
     /// The request of the page, and the answer that replaces it.
     static BUFFER: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };

@@ -11,13 +11,13 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 
 use bitflags::Flags;
-use serde::{Deserialize, Serialize};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::registers::{EVENTS, FIRST_REPORT, FIRST_SETTING, Record, SETTINGS};
 use wsg_bridge_fw::{Bridge, Config, ResetCause};
 use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::Direction;
+use wsg_sim::control::json::{self, body, object};
 use wsg_sim::{MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
 pub use line::SentFrame;
@@ -48,20 +48,6 @@ const FIRST_PART: u16 = 200;
 
 /// Longest step of a page, in microseconds.
 const LONGEST_STEP_US: u64 = 2_000_000;
-
-/// Formats an object in JSON, without the code of `serde_json::Value`.
-macro_rules! object {
-    ($($name:literal: $value:expr),* $(,)?) => {{
-        let mut text = String::new();
-        $(text += concat!(",\"", $name, "\":");
-        text += &json(&$value);)*
-        text.replacen(',', "{", 1) + "}"
-    }};
-}
-
-fn json(value: &(impl Serialize + ?Sized)) -> String {
-    serde_json::to_string(value).unwrap_or_default()
-}
 
 /// A bridge between a PLC and a gripper, with everything around it.
 pub struct Station {
@@ -382,7 +368,7 @@ impl Station {
             "image": self.image,
             "input": input.as_ref().ok(),
             "exception": input.as_ref().err(),
-            "settings": self.settings[..],
+            "settings": &self.settings[..],
             "refused": self.refused,
             "reports": self.reports,
             "is_cut": self.to_gripper.is_cut,
@@ -411,7 +397,7 @@ fn hello() -> String {
         "outputs": names(Outputs::all()),
         "command_flags": names(CommandFlags::all()),
         "gripper_flags": names(GripperFlags::all()),
-        "events": EVENTS.map(|it| (it.code as u8, it.name, it.meaning, it.remedy))[..],
+        "events": EVENTS.map(|it| (it.code as u8, it.name, it.meaning, it.remedy)),
         "settings": OFFERED_SETTINGS.iter().filter_map(setting).collect::<Vec<_>>(),
     }
 }
@@ -420,14 +406,12 @@ fn names<F: Flags>(flags: F) -> Vec<&'static str> {
     flags.iter_names().map(|(name, _)| name).collect()
 }
 
-#[derive(Deserialize)]
 struct Request {
     station: Body,
 }
+body!(Request: station);
 
 /// A request of a page, in the order of its effects.
-#[derive(Default, Deserialize)]
-#[serde(default)]
 struct Body {
     /// Returns the names instead of the state.
     hello: bool,
@@ -439,6 +423,9 @@ struct Body {
     /// Returns the link, too.
     share: bool,
 }
+body!(
+    Body: #[default] hello, link, #[default] actions, #[default] step_us, #[default] first_frame, #[default] share
+);
 
 thread_local! {
     static STATION: RefCell<Station> = RefCell::default();
@@ -447,7 +434,7 @@ thread_local! {
 /// Answers a request of a page, both in JSON.
 #[must_use]
 pub fn call(request: &str) -> String {
-    let answer = serde_json::from_str(request).map_err(|error| error.to_string()).and_then(answer);
+    let answer = json::read(request.as_bytes()).and_then(answer);
     answer.unwrap_or_else(|error| object! { "error": error })
 }
 

@@ -16,17 +16,19 @@ use crate::{process, setup, workspace::Workspace};
 pub(crate) const TRIPLE: &str = "wasm32-unknown-unknown";
 /// Folder of the files, in the build folder.
 pub(crate) const FOLDER: &str = "web";
+/// No names, and numbers of functions and addresses in as few bytes as possible.
+const FLAGS: [&str; 4] = ["-C", "strip=symbols", "-C", "link-arg=--compress-relocations"];
 /// Part of the names of the tests that need the files.
 pub(crate) const TESTS: &str = "static_page";
 /// The page of `wsg-sim`, and the files of the pages without a server.
 const FOLDERS: [&str; 2] = ["gripper-sim/src/server/control/page", "web/page"];
-/// Device files, which the page of the gripper offers.
-const DEVICE_FILES: [&str; 2] = ["docs/WSGB5555.gsd", "docs/GSDML-V2.31-wsg-sim-WSG-20261124.xml"];
 /// Limit for all files together, each compressed by gzip -9, in bytes.
-const MAX_COMPRESSED: usize = 215_000;
+const MAX_COMPRESSED: usize = 150_000;
 /// What the page of the gripper may load: its own files.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; \
                       worker-src 'self'; base-uri 'none'; form-action 'none'";
+/// The line of the page that offers device files, of which a gripper without a bus has no use.
+const DEVICE_FILES: &str = "<p class=\"files\">";
 /// Where the page `try` of the book has the gripper's page. The PDF has a picture alone.
 const PLACE: &str = "<!-- the page -->";
 const EMBEDDED: &str = "<p><a href=\"web/index.html\">Open it in a window of its own</a></p>\n\
@@ -42,7 +44,7 @@ pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
     // Cargo optimizes a library as a whole only if no other crate can link it.
     let mut cargo =
         workspace.cargo("rustc --package wsg-web --lib --crate-type cdylib --profile c-library --target");
-    provenance::remove_paths(cargo.arg(TRIPLE), &workspace.target_dir, &["-C", "strip=symbols"]);
+    provenance::remove_paths(cargo.arg(TRIPLE), &workspace.target_dir, &FLAGS);
     process::run(&mut cargo)?;
 
     let folder = workspace.target_dir.join(FOLDER);
@@ -51,14 +53,16 @@ pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
     for source in FOLDERS {
         for entry in fs::read_dir(workspace.root.join(source))? {
             let path = entry?.path();
-            copy(&path, &folder)?;
-            if source == FOLDERS[0] && path.ends_with("index.html") {
-                fs::write(folder.join("gripper.html"), without_server(&fs::read_to_string(path)?)?)?;
+            let (text, name) = (fs::read_to_string(&path)?, path.file_name().context("a file has a name")?);
+            if source == FOLDERS[1] || !path.ends_with("index.html") {
+                fs::write(folder.join(name), shortened(&text))?;
+            } else {
+                fs::write(folder.join("gripper.html"), shortened(&without_server(&text)?))?;
             }
         }
     }
     fs::remove_file(folder.join("over_http.js"))?;
-    DEVICE_FILES.iter().try_for_each(|file| copy(&workspace.root.join(file), &folder))?;
+    join_scripts(&folder)?;
     let wasm = workspace.target_dir.join(TRIPLE).join("c-library/wsg_web.wasm");
     fs::copy(&wasm, folder.join("wsg.wasm")).with_context(|| format!("cannot copy {}", wasm.display()))?;
 
@@ -120,7 +124,37 @@ fn copy(file: &Path, folder: &Path) -> Result<()> {
 
 /// Returns the page of `wsg-sim` with the worker in place of the server.
 fn without_server(page: &str) -> Result<String> {
-    ensure!(page.contains(HEAD) && page.contains("over_http.js"), "the page lacks {HEAD} or over_http.js");
+    for part in [HEAD, "over_http.js", DEVICE_FILES] {
+        ensure!(page.contains(part), "the page lacks {part}");
+    }
     let policy = format!("{HEAD}\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">");
-    Ok(page.replace(HEAD, &policy).replace("over_http.js", "over_worker.js"))
+    let lines = page.lines().filter(|line| !line.contains(DEVICE_FILES)).map(|line| line.to_owned() + "\n");
+    Ok(lines.collect::<String>().replace(HEAD, &policy).replace("over_http.js", "over_worker.js"))
+}
+
+/// Joins the scripts of the gripper's page, because one file compresses better than nine.
+fn join_scripts(folder: &Path) -> Result<()> {
+    let page = folder.join("gripper.html");
+    let (mut html, mut joined) = (String::new(), String::new());
+    for line in fs::read_to_string(&page)?.lines() {
+        let script = line.strip_prefix("<script src=\"").and_then(|rest| rest.strip_suffix("\"></script>"));
+        if let Some(script) = script {
+            let script = folder.join(script);
+            joined += &fs::read_to_string(&script)?;
+            fs::remove_file(script)?;
+        } else {
+            html += line;
+            html += "\n";
+        }
+    }
+    ensure!(!joined.is_empty(), "the page lacks scripts");
+    fs::write(folder.join("gripper.js"), joined)?;
+    Ok(fs::write(page, html.replace("</body>", "<script src=\"gripper.js\"></script>\n</body>"))?)
+}
+
+/// Returns a file without indentation, empty lines, and comments of a line. No file has a text of several lines.
+fn shortened(text: &str) -> String {
+    let is_comment = |line: &str| line.starts_with("//") || line.starts_with("/*") && line.ends_with("*/");
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !is_comment(line));
+    lines.flat_map(|line| [line, "\n"]).collect()
 }

@@ -7,6 +7,8 @@
 use super::answer::{HttpError, status};
 use super::bench::Bench;
 use crate::time::Time;
+use wsg_protocol::Number;
+use wsg_protocol::editor::Quoted;
 
 /// Maximum age of the state that the sender of a request saw, in ms.
 pub(crate) const MAX_AGE_MS: u64 = 1_000;
@@ -39,14 +41,14 @@ pub(crate) fn check(bench: &Bench, now: Time, effect: Effect, as_of: &str) -> Re
         Some((u64::from_str_radix(run, 16).ok()?, Time::from_micros(micros.parse().ok()?)))
     });
     let Some((run, at)) = seen.filter(|(run, at)| *run != bench.run() || *at <= now) else {
-        let error = format!("{as_of:?} names no state of this gripper; expected as_of of GET /state");
+        let error = format!("{} names no state of this gripper; expected as_of of GET /state", Quoted(as_of));
         return Err(HttpError::wrong(error));
     };
     let age = now.as_micros().saturating_sub(at.as_micros());
     let error = if run != bench.run() {
         "the sender saw the gripper before its last start; read the state again".to_owned()
     } else if age > MAX_AGE_MS * 1_000 {
-        format!("the sender saw a state {:.1} s old; expected at most 1 s", age as f64 / 1e6)
+        format!("the sender saw a state {:.1} s old; expected at most 1 s", Number(age as f32 / 1e6))
     } else if effect == Effect::Moves && at < bench.stopped_at() {
         "the sender has not seen the latest stop; read the state again".to_owned()
     } else {

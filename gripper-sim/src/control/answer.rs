@@ -1,6 +1,6 @@
 //! Answers of the control interface, and the reasons of rejected requests.
 
-use serde::Serialize;
+use super::json::ToJson;
 
 /// Statuses of HTTP.
 pub(crate) mod status {
@@ -28,10 +28,10 @@ impl Answer {
         Self::Json(json + "\n")
     }
 
-    pub(crate) fn json(value: &impl Serialize) -> Result<Self, HttpError> {
-        serde_json::to_string(value)
-            .map(Self::of_json)
-            .map_err(|error| HttpError::new(status::INTERNAL_SERVER_ERROR, error.to_string()))
+    pub(crate) fn json(value: &dyn ToJson) -> Self {
+        let mut json = String::new();
+        value.write(&mut json);
+        Self::of_json(json)
     }
 }
 

@@ -9,6 +9,7 @@ pub(crate) use editor::{FRAME_EXPECTED, FrameBody};
 use super::executed::Executed;
 use super::faulty_line::{Latency, LineCountsByDirection, LineFaults};
 use super::history::History;
+use super::json::members;
 use super::latest_script::LatestScript;
 use super::log::{Log, Watched};
 use super::system_log::{Severity, SystemLog};
@@ -23,14 +24,14 @@ use crate::time::{Time, earlier};
 use editor::Editor;
 use std::sync::Arc;
 use wsg_fieldbus::{InputImage, OutputImage};
-use wsg_protocol::{Command, Status, SystemFlags};
+use wsg_protocol::{Command, Number, Status, SystemFlags};
 
 /// The maximum number of simultaneous clients.
 #[cfg(not(target_family = "wasm"))]
 pub(crate) const MAX_CLIENTS: usize = 128;
-/// In a browser, the command editor is the only client, and the stack is small.
+/// In a browser, the command editor is the only client, and the page of the station has the same type of gripper.
 #[cfg(target_family = "wasm")]
-pub(crate) const MAX_CLIENTS: usize = 4;
+pub(crate) const MAX_CLIENTS: usize = 1;
 
 /// Source of entries of the system log: the page or a program at the control interface.
 pub(crate) const PAGE: &str = "page";
@@ -81,7 +82,7 @@ struct Connected {
 }
 
 /// A bus that carries the register interface.
-#[derive(Clone, Debug, Default, serde::Serialize)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct BusLine {
     /// The bus: Modbus/TCP, PROFIBUS, PROFINET or EtherNet/IP.
     pub(crate) bus: &'static str,
@@ -94,6 +95,7 @@ pub(crate) struct BusLine {
     /// The station name, if the bus has one.
     pub(crate) name: String,
 }
+members!(BusLine: bus, line, address, rate, name);
 
 /// The state of gripper and lines, for observers.
 #[derive(Debug)]
@@ -296,7 +298,10 @@ impl Bench {
 
     pub(crate) fn set_part(&mut self, part: Option<Part>, now: Time) {
         match part {
-            Some(part) => self.note(now, format_args!("part {} mm, {} N/mm", part.width(), part.stiffness())),
+            Some(part) => self.note(
+                now,
+                format_args!("part {} mm, {} N/mm", Number(part.width()), Number(part.stiffness())),
+            ),
             None => self.note(now, format_args!("no part")),
         }
         self.act(now, |gripper, now| gripper.set_part(part, now));
@@ -323,7 +328,9 @@ impl Bench {
             self.stopped_at = now;
         }
         match force {
-            Some(force) => self.note(now, format_args!("{command}, force limit {force} N: {status}")),
+            Some(force) => {
+                self.note(now, format_args!("{command}, force limit {} N: {status}", Number(force)))
+            }
             None => self.note(now, format_args!("{command}: {status}")),
         }
         status
@@ -393,6 +400,12 @@ impl Bench {
     /// The same, with the source that the system log names for commands without a client.
     fn act_by<T>(&mut self, operator: &str, now: Time, act: impl FnOnce(&mut Gripper, Time) -> T) -> T {
         let result = act(&mut self.gripper, now);
+        self.follow(operator, now);
+        result
+    }
+
+    /// Logs what a call of the gripper has changed, and passes on its frames to the editor.
+    fn follow(&mut self, operator: &str, now: Time) {
         if let Some(log) = &mut self.log {
             log.expire(now);
         }
@@ -408,7 +421,6 @@ impl Bench {
             editor.receive(self, now);
             self.editor = editor;
         }
-        result
     }
 
     /// Writes a change of the system state to the system log.

@@ -2,15 +2,14 @@
 
 use super::answer::{HttpError, status};
 use super::bench::Bench;
+use super::json::{body, names};
 use crate::time::Time;
-use serde::Deserialize;
 use wsg_protocol::types::AckKey;
 use wsg_protocol::{Command, HomingDirection, PrePositionFlags, Status};
 
 pub(crate) const COMMAND_EXPECTED: &str = r#"{"command":"home"}, "stop", "fast_stop" or "acknowledge"; {"command":"move","width_mm":50.0,"speed_mm_per_s":100.0}, "grip" (and "force_n":40.0) or "release" (speed and force are optional)"#;
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug)]
 enum CommandName {
     Home,
     Move,
@@ -20,9 +19,12 @@ enum CommandName {
     FastStop,
     Acknowledge,
 }
+names!(
+    CommandName: Home "home", Move "move", Grip "grip", Release "release", Stop "stop", FastStop "fast_stop",
+    Acknowledge "acknowledge"
+);
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug)]
 pub(crate) struct CommandBody {
     command: CommandName,
     width_mm: Option<f32>,
@@ -31,6 +33,7 @@ pub(crate) struct CommandBody {
     /// A random number. A second command with it, such as a stop that is sent on two ways, is not executed.
     key: Option<u64>,
 }
+body!(CommandBody: command, width_mm, speed_mm_per_s, force_n, key);
 
 impl CommandBody {
     /// Returns whether the command stops the fingers, which is never refused for its age.

@@ -3,9 +3,10 @@
 //! Independent of sockets and clocks. The fate of a frame depends only on the seed, the connection, the number of the
 //! frame on it, and the rates. Runs are therefore repeatable, and changing one rate does not affect the frames hit by the others.
 
+use super::json::{members, names};
 use crate::time::Time;
-use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
+use wsg_protocol::Number;
 
 /// Capacity of the line for a client with flow control, in frames.
 const MAX_WAITING: usize = 64;
@@ -15,8 +16,7 @@ const MAX_HELD: usize = 512;
 const MAX_COPIES: usize = 2;
 
 /// The direction in which a line is faulty.
-#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum FaultDirection {
     /// Only frames to the gripper.
     Requests,
@@ -25,22 +25,24 @@ pub(crate) enum FaultDirection {
     #[default]
     Both,
 }
+names!(FaultDirection: Requests "requests", Replies "replies", Both "both");
 
 /// How often each fault hits a frame, from 0 (never) to 1 (always).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct LineFaults {
     pub(crate) direction: FaultDirection,
-    pub(crate) drop: f64,
-    pub(crate) delay: f64,
+    pub(crate) drop: f32,
+    pub(crate) delay: f32,
     /// Delay of a delayed frame, in ms.
     pub(crate) delay_ms: u32,
     /// Rate of frames with one wrong bit.
-    pub(crate) corrupt: f64,
+    pub(crate) corrupt: f32,
     /// Rate of frames without their end.
-    pub(crate) truncate: f64,
+    pub(crate) truncate: f32,
     /// Rate of frames sent twice.
-    pub(crate) duplicate: f64,
+    pub(crate) duplicate: f32,
 }
+members!(LineFaults: direction, drop, delay, delay_ms, corrupt, truncate, duplicate);
 
 impl LineFaults {
     /// The longest delay in ms.
@@ -57,13 +59,18 @@ impl LineFaults {
     }
 
     pub(crate) fn are_none(&self) -> bool {
-        [self.drop, self.delay, self.corrupt, self.truncate, self.duplicate].iter().all(|rate| *rate <= 0.0)
+        self.rates().iter().all(|rate| *rate <= 0.0)
+    }
+
+    const fn rates(&self) -> [f32; 5] {
+        [self.drop, self.delay, self.corrupt, self.truncate, self.duplicate]
     }
 }
 
 impl std::fmt::Display for LineFaults {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = self;
+        let Self { direction, delay_ms, .. } = self;
+        let [drop, delay, corrupt, truncate, duplicate] = self.rates().map(Number);
         let of = match direction {
             FaultDirection::Requests => "of requests",
             FaultDirection::Replies => "of replies",
@@ -144,7 +151,7 @@ impl std::fmt::Display for Fate {
 }
 
 /// Number of frames on the lines, and of frames hit by each fault.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct LineCounts {
     pub(crate) frames: u64,
     pub(crate) dropped: u64,
@@ -153,6 +160,7 @@ pub(crate) struct LineCounts {
     pub(crate) truncated: u64,
     pub(crate) duplicated: u64,
 }
+members!(LineCounts: frames, dropped, delayed, corrupted, truncated, duplicated);
 
 impl LineCounts {
     pub(crate) fn count(&mut self, fate: &Fate) {
@@ -166,11 +174,12 @@ impl LineCounts {
 }
 
 /// The counts of both directions.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LineCountsByDirection {
     pub(crate) requests: LineCounts,
     pub(crate) replies: LineCounts,
 }
+members!(LineCountsByDirection: requests, replies);
 
 /// How a frame passes the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -293,9 +302,9 @@ impl Chance {
     }
 
     /// Returns `true` at this rate.
-    fn hits(&mut self, rate: f64) -> bool {
+    fn hits(&mut self, rate: f32) -> bool {
         const TWO_TO_53: f64 = (1u64 << 53) as f64;
-        ((self.next() >> 11) as f64) < rate * TWO_TO_53
+        ((self.next() >> 11) as f64) < f64::from(rate) * TWO_TO_53
     }
 
     /// Returns a number from 0 to `bound` - 1; 0 for a bound of 0.

@@ -2,33 +2,33 @@
 
 use super::answer::{HttpError, status};
 use super::faulty_line::{FaultDirection, LineFaults};
+use super::json::{IfSome, ToJson, body, names, object};
 use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
 use crate::finger::{Finger, Jaw};
-use serde::{Deserialize, Serialize};
+use wsg_protocol::Number;
 
 pub(crate) const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), "inner_width_mm":15.0 for a hollow part, or null for no part"#;
 pub(crate) const FAULT_EXPECTED: &str =
     r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
 pub(crate) const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and omitted values are 0, and "direction":"requests", "replies" or "both""#;
 
-#[derive(Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug)]
 pub(crate) struct PartBody {
-    pub(crate) width_mm: f32,
-    pub(crate) stiffness_n_per_mm: Option<f32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) inner_width_mm: Option<f32>,
+    width_mm: f32,
+    stiffness_n_per_mm: Option<f32>,
+    inner_width_mm: Option<f32>,
 }
+body!(PartBody: width_mm, stiffness_n_per_mm, inner_width_mm);
 
-impl From<Part> for PartBody {
-    fn from(part: Part) -> Self {
-        Self {
-            width_mm: part.width(),
-            stiffness_n_per_mm: Some(part.stiffness()),
-            inner_width_mm: part.inner_width(),
-        }
+impl ToJson for Part {
+    fn write(&self, json: &mut String) {
+        object!(json;
+            "width_mm" => self.width(),
+            "stiffness_n_per_mm" => self.stiffness(),
+            "inner_width_mm" => IfSome(self.inner_width()),
+        );
     }
 }
 
@@ -41,23 +41,25 @@ pub(crate) fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
         None => solid,
     };
     part.map(Some).ok_or_else(|| {
-        let hole = inner_width_mm.map(|width| format!(" and a hole of {width} mm")).unwrap_or_default();
+        let hole =
+            inner_width_mm.map(|width| format!(" and a hole of {} mm", Number(width))).unwrap_or_default();
         HttpError::wrong(format!(
-            "a part {width_mm} mm wide with {stiffness} N/mm{hole} is invalid; expected {PART_EXPECTED}"
+            "a part {} mm wide with {} N/mm{hole} is invalid; expected {PART_EXPECTED}",
+            Number(width_mm),
+            Number(stiffness)
         ))
     })
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug)]
 pub(crate) struct FaultBody {
     pub(crate) fault: FaultName,
     pub(crate) finger: Option<u8>,
     pub(crate) on: bool,
 }
+body!(FaultBody: fault, finger, on);
 
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FaultName {
     AxisBlocked,
     OverTemperature,
@@ -66,6 +68,10 @@ pub(crate) enum FaultName {
     FingerShortCircuit,
     FingerCommunication,
 }
+names!(
+    FaultName: AxisBlocked "axis_blocked", OverTemperature "over_temperature", SupplyOutOfRange "supply_out_of_range",
+    MotorCurrent "motor_current", FingerShortCircuit "finger_short_circuit", FingerCommunication "finger_communication"
+);
 
 pub(crate) fn which_fault(config: &Config, name: FaultName, finger: Option<u8>) -> Result<Fault, HttpError> {
     let of_a_finger = |fault: fn(Jaw) -> Fault, is_possible: fn(Finger) -> bool, needs: &str| {
@@ -86,7 +92,7 @@ pub(crate) fn which_fault(config: &Config, name: FaultName, finger: Option<u8>) 
             return Ok(fault(jaw));
         }
         let error =
-            format!("the finger is {:?}, which cannot have this fault; expected {needs}", mounted.name());
+            format!("the finger is \"{}\", which cannot have this fault; expected {needs}", mounted.name());
         Err(HttpError::new(status::CONFLICT, error))
     };
     let fault = match name {
@@ -111,17 +117,20 @@ pub(crate) fn which_fault(config: &Config, name: FaultName, finger: Option<u8>) 
     }
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug)]
 pub(crate) struct LineBody {
     direction: FaultDirection,
-    drop: f64,
-    delay: Option<f64>,
+    drop: f32,
+    delay: Option<f32>,
     delay_ms: Option<u32>,
-    corrupt: f64,
-    truncate: f64,
-    duplicate: f64,
+    corrupt: f32,
+    truncate: f32,
+    duplicate: f32,
 }
+body!(
+    LineBody: #[default] direction, #[default] drop, delay, delay_ms, #[default] corrupt, #[default] truncate,
+    #[default] duplicate
+);
 
 /// Returns the requested faults. A delay without a rate hits every frame.
 pub(crate) fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
@@ -139,7 +148,7 @@ pub(crate) fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
         ("duplicate", duplicate),
     ] {
         if !(0.0..=1.0).contains(&rate) {
-            return Err(HttpError::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
+            return Err(HttpError::wrong(format!("{name} is {}; expected {LINE_EXPECTED}", Number(rate))));
         }
     }
     if delay_ms > LineFaults::MAX_DELAY_MS {

@@ -1,6 +1,6 @@
 //! The script that runs on the gripper or ran last: its state and its output.
 
-use serde::Serialize;
+use super::json::{members, names};
 use std::collections::VecDeque;
 
 /// Maximum number of lines of output that are kept.
@@ -20,7 +20,7 @@ pub(crate) struct LatestScript {
 }
 
 /// The state of the latest script.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ScriptReport {
     /// Grows with each change, so that an answer and an event can be put in order.
     pub(crate) revision: u64,
@@ -32,9 +32,9 @@ pub(crate) struct ScriptReport {
     /// The line of that error, if it is in the script.
     pub(crate) line: Option<u32>,
 }
+members!(ScriptReport: revision, name, state, error, line);
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum RunState {
     #[default]
     None,
@@ -43,13 +43,15 @@ pub(crate) enum RunState {
     Stopped,
     Failed,
 }
+names!(RunState: None "none", Running "running", Ended "ended", Stopped "stopped", Failed "failed");
 
 /// A line of output.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug)]
 pub(crate) struct OutputLine {
     pub(crate) number: u64,
     pub(crate) text: String,
 }
+members!(OutputLine: number, text);
 
 impl LatestScript {
     /// Keeps a line of output for pages.

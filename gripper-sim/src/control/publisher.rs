@@ -2,10 +2,10 @@
 
 use super::age::as_of;
 use super::bench::Bench;
+use super::json::{Json, object};
 use super::latest_script::ScriptReport;
-use super::state::{HelloBody, StateBody};
+use super::state::{self, static_data};
 use crate::time::Time;
-use serde::Serialize;
 
 /// Interval of the heartbeat to pages while nothing changes. A page shows after a second that it receives nothing.
 const HEARTBEAT_MS: u64 = 200;
@@ -13,19 +13,9 @@ const HEARTBEAT_MS: u64 = 200;
 /// Kind and JSON of an event.
 pub(crate) type Event = (&'static str, String);
 
-/// Returns a value as JSON. The values of events contain nothing that JSON cannot represent.
-fn text(value: &impl Serialize) -> String {
-    serde_json::to_string(value).unwrap_or_default()
-}
-
-/// Returns an object with one member as JSON.
-pub(super) fn object(name: &str, value: &impl Serialize) -> String {
-    format!("{{\"{name}\":{}}}", text(value))
-}
-
 /// Returns the event with which each page begins: the static data.
 pub(crate) fn hello(bench: &Bench) -> Event {
-    ("hello", text(&HelloBody::of(bench)))
+    ("hello", static_data(bench))
 }
 
 /// What the open pages know.
@@ -55,37 +45,36 @@ impl Publisher {
     pub(crate) fn events(&mut self, bench: &mut Bench, now: Time) -> Vec<Event> {
         let mut events = Vec::new();
         let report = bench.report(now);
-        let state = text(&StateBody::of(bench, &report).without_time());
+        let state = state::of(bench, &report, None);
         if state != self.state || now >= self.due {
-            let (time_s, as_of) = (report.now.as_micros() as f64 / 1e6, as_of(bench, report.now));
-            let json = format!("{{\"time_s\":{time_s},\"as_of\":\"{as_of}\",\"state\":{state}}}");
+            let json =
+                object! { "time_s": report.now, "as_of": as_of(bench, report.now), "state": Json(&state) };
             events.push(("state", json));
             (self.state, self.due) = (state, now.plus_millis(HEARTBEAT_MS));
         }
         let entries = bench.system_log().entries_from(self.next_entry);
         if let Some(latest) = entries.last() {
             self.next_entry = latest.number + 1;
-            events.push(("system_log", object("entries", &entries)));
+            events.push(("system_log", object! { "entries": entries }));
         }
         let frames = bench.frames_from(self.next_frame);
         if let Some(latest) = frames.last() {
             self.next_frame = latest.number + 1;
-            events.push(("editor", object("frames", &frames)));
+            events.push(("editor", object! { "frames": frames }));
         }
         let (report, lines) = bench.script.report(self.next_line);
         if !lines.is_empty() || self.script.as_ref() != Some(&report) {
             self.next_line = lines.last().map_or(self.next_line, |line| line.number + 1);
-            events.push(("script", format!("{{\"latest\":{},\"lines\":{}}}", text(&report), text(&lines))));
+            events.push(("script", object! { "latest": report, "lines": lines }));
             self.script = Some(report);
         }
         if self.settings != bench.settings_revision() {
             self.settings = bench.settings_revision();
-            events.push(("settings", object("revision", &self.settings)));
+            events.push(("settings", object! { "revision": self.settings }));
         }
         let log = bench.take_watched();
         if !log.lines.is_empty() {
-            let json = format!("{{\"lines\":{},\"lost\":{}}}", text(&log.lines), log.lost);
-            events.push(("log", json));
+            events.push(("log", object! { "lines": log.lines, "lost": log.lost }));
         }
         events
     }

@@ -2,9 +2,8 @@
 
 use super::Host;
 use super::answer::{HttpError, status};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
-use std::collections::BTreeMap;
+use super::json::{FromJson, ToJson, Value, object};
+use wsg_protocol::editor::Quoted;
 
 /// Headings of settings.
 pub(crate) const COMMAND: &str = "Command interface";
@@ -17,16 +16,19 @@ pub(crate) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE
 
 pub(crate) const SETTINGS_EXPECTED: &str = r#"an object with the settings to change, such as {"clamping-travel":4,"homing-at-start":true,"tag":null}, where null is the default"#;
 
+/// Stands for the unit of a switch in `settings.tsv`.
+const SWITCH: &str = "switch";
+
 /// One row of the table of settings.
-#[derive(Debug, Deserialize, Serialize)]
+#[derive(Debug)]
 pub(crate) struct Setting {
     pub(crate) name: String,
-    pub(crate) group: &'static str,
+    pub(crate) group: String,
     pub(crate) meaning: String,
     /// The default, as the help writes it; empty without one.
     pub(crate) default: String,
     /// The unit, or the form of the value. `None` for a switch.
-    pub(crate) unit: Option<&'static str>,
+    pub(crate) unit: Option<String>,
     /// The possible values, if they are few.
     pub(crate) choices: Vec<String>,
     /// The accepted values, in the words of the error; empty for a free text.
@@ -34,6 +36,35 @@ pub(crate) struct Setting {
     pub(crate) is_at_once: bool,
     /// Whether the value is a list.
     pub(crate) is_list: bool,
+}
+
+impl Setting {
+    /// Returns the row in a line of `settings.tsv`.
+    #[cfg(all(test, feature = "std"))]
+    pub(crate) fn line(&self) -> String {
+        let unit = self.unit.as_deref().unwrap_or(SWITCH);
+        let mut words = vec![&self.name[..], &self.group, &self.meaning, &self.default, unit, &self.expected];
+        words.extend([self.is_at_once, self.is_list].map(|is_so| if is_so { "yes" } else { "no" }));
+        words.extend(self.choices.iter().map(String::as_str));
+        words.join("\t") + "\n"
+    }
+
+    /// Returns the row of a line of `settings.tsv`.
+    pub(crate) fn of(line: &str) -> Self {
+        let mut words = line.split('\t').map(str::to_owned);
+        let mut next = || words.next().unwrap_or_default();
+        Self {
+            name: next(),
+            group: next(),
+            meaning: next(),
+            default: next(),
+            unit: Some(next()).filter(|unit| unit != SWITCH),
+            expected: next(),
+            is_at_once: next() == "yes",
+            is_list: next() == "yes",
+            choices: words.collect(),
+        }
+    }
 }
 
 /// A setting with its value.
@@ -58,8 +89,35 @@ impl SettingState {
     }
 }
 
-/// The words given for each option, without its hyphens: none for a switch, several for an option that may be repeated.
-pub(crate) type Given = BTreeMap<String, Vec<String>>;
+/// The words given for each option, without its hyphens: none for a switch, several for an option that may be repeated. The
+/// options are in the order of their names. They are few, and the code of a map is large.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Given(Vec<(String, Vec<String>)>);
+
+impl Given {
+    pub(crate) fn get(&self, name: &str) -> Option<&Vec<String>> {
+        self.0.iter().find(|(known, _)| known == name).map(|(_, words)| words)
+    }
+
+    pub(crate) fn iter(&self) -> std::slice::Iter<'_, (String, Vec<String>)> {
+        self.0.iter()
+    }
+
+    /// Sets the words of an option; `None` for the default.
+    pub(crate) fn set(&mut self, name: &str, words: Option<Vec<String>>) {
+        self.0.retain(|(known, _)| known != name);
+        if let Some(words) = words {
+            let at = self.0.partition_point(|(known, _)| &known[..] < name);
+            self.0.insert(at, (name.to_owned(), words));
+        }
+    }
+
+    pub(crate) fn with(&self, changes: &Changes) -> Self {
+        let mut given = self.clone();
+        changes.iter().for_each(|(name, words)| given.set(name, words.clone()));
+        given
+    }
+}
 
 /// Changed settings: new words, none for a switch that is on, `None` for the default.
 pub(crate) type Changes = Vec<(String, Option<Vec<String>>)>;
@@ -87,75 +145,53 @@ pub(crate) fn changed_settings<'a>(
     let value = |words: &Vec<String>| if words.is_empty() { "on".to_owned() } else { words.join(", ") };
     let text = |words: Option<&Vec<String>>| words.map_or_else(|| "default".to_owned(), value);
     let changed: Vec<&String> =
-        changes.iter().map(|(name, _)| name).filter(|name| before.get(*name) != after.get(*name)).collect();
+        changes.iter().map(|(name, _)| name).filter(|name| before.get(name) != after.get(name)).collect();
     for name in &changed {
-        let [before, now] = [before, after].map(|given| text(given.get(*name)));
+        let [before, now] = [before, after].map(|given| text(given.get(name)));
         report(&format!("setting {name}: {before} -> {now}"));
     }
     changed
 }
 
 /// A changed setting may be any JSON value; its row decides.
-pub(crate) type SettingsBody = BTreeMap<String, Value>;
+#[derive(Debug)]
+pub(crate) struct SettingsBody(Vec<(String, Value)>);
 
-/// The answer to `/settings`.
-#[derive(Debug, Serialize)]
-pub(crate) struct SettingsAnswer {
-    /// A number that grows with each change.
-    revision: u64,
-    groups: [&'static str; 5],
-    /// The file in which changes are saved.
-    file: Option<String>,
-    /// Whether a setting waits for a restart.
-    restart_pending: bool,
-    settings: Vec<SettingBody>,
+impl FromJson for SettingsBody {
+    fn from_json(value: Value) -> Result<Self, String> {
+        value.into_members(None).map(Self)
+    }
 }
 
-#[derive(Debug, Serialize)]
-struct SettingBody {
-    name: &'static str,
-    group: &'static str,
-    meaning: &'static str,
-    /// `switch`, `choice`, `list`, or `text` for numbers and texts.
-    kind: &'static str,
-    unit: &'static str,
-    choices: &'static [String],
-    default: &'static str,
-    expected: &'static str,
-    /// The given value; null for the default.
-    value: Value,
-    effect: &'static str,
-    pending: bool,
-}
-
-impl SettingBody {
-    fn of(state: SettingState) -> Self {
-        let SettingState { row, given, is_pending } = state;
+impl ToJson for SettingState {
+    fn write(&self, json: &mut String) {
+        let Self { row, given, is_pending } = self;
         let kind = match row.unit {
             None => "switch",
             Some(_) if row.is_list => "list",
             Some(_) if !row.choices.is_empty() => "choice",
             Some(_) => "text",
         };
-        let value = match given {
-            None if kind == "switch" => Value::Bool(false),
-            None => Value::Null,
-            Some(words) if kind == "list" => words.into(),
-            Some(words) => words.into_iter().next().map_or(Value::Bool(true), Value::String),
+        // Null for the default.
+        let value: &dyn ToJson = match given.as_deref() {
+            None if kind == "switch" => &false,
+            Some([]) if kind != "list" => &true,
+            Some([word, ..]) if kind != "list" => word,
+            _ => given,
         };
-        Self {
-            name: &row.name,
-            group: row.group,
-            meaning: &row.meaning,
-            kind,
-            unit: row.unit.unwrap_or(""),
-            choices: &row.choices,
-            default: &row.default,
-            expected: &row.expected,
-            value,
-            effect: if row.is_at_once { "at once" } else { "after a restart" },
-            pending: is_pending,
-        }
+        object!(json;
+            "name" => row.name,
+            "group" => row.group,
+            "meaning" => row.meaning,
+            "kind" => kind,
+            "unit" => row.unit.as_deref().unwrap_or(""),
+            "choices" => row.choices,
+            "default" => row.default,
+            "expected" => row.expected,
+            "value" => value,
+            "effect" => if row.is_at_once { "at once" } else { "after a restart" },
+            "pending" => is_pending,
+        );
     }
 }
 
@@ -165,38 +201,41 @@ fn no_options() -> HttpError {
     HttpError::new(status::CONFLICT, error.to_owned())
 }
 
-pub(crate) fn settings(host: &mut impl Host) -> Result<SettingsAnswer, HttpError> {
+/// Returns the answer to `/settings`.
+pub(crate) fn settings(host: &mut impl Host) -> Result<String, HttpError> {
     let settings = host.settings().ok_or_else(no_options)?;
-    Ok(SettingsAnswer {
-        revision: host.at_bench(|bench, _| bench.settings_revision()),
-        groups: GROUPS,
-        file: host.settings_file(),
-        restart_pending: settings.iter().any(|setting| setting.is_pending),
-        settings: settings.into_iter().map(SettingBody::of).collect(),
+    Ok(object! {
+        // Grows with each change.
+        "revision": host.at_bench(|bench, _| bench.settings_revision()),
+        "groups": GROUPS,
+        "file": host.settings_file(),
+        "restart_pending": settings.iter().any(|setting| setting.is_pending),
+        "settings": settings,
     })
 }
 
 /// Changes the settings, all or none.
 pub(crate) fn change(host: &mut impl Host, body: SettingsBody) -> Result<(), HttpError> {
     let table = host.settings().ok_or_else(no_options)?;
-    let changes: Result<Changes, HttpError> = body
-        .into_iter()
-        .map(|(name, value)| {
-            let state = table.iter().find(|setting| setting.row.name == name).ok_or_else(|| {
-                HttpError::wrong(format!("the setting {name:?} is unknown; expected one of GET /settings"))
-            })?;
-            let words = words(state, value).ok_or_else(|| {
-                let expected = match (state.row.unit, state.row.is_list) {
-                    (None, _) => "true or false",
-                    (_, true) => "a list of texts",
-                    _ => "a number, a text or null",
-                };
-                HttpError::wrong(format!("{name} has the wrong type; expected {expected}"))
-            })?;
-            Ok((name, words))
-        })
-        .collect();
-    host.change_settings(&changes?).map_err(|refused| match refused {
+    let mut changes = Changes::new();
+    for (name, value) in body.0 {
+        let state = table.iter().find(|setting| setting.row.name == name).ok_or_else(|| {
+            let name = Quoted(&name);
+            HttpError::wrong(format!("the setting {name} is unknown; expected one of GET /settings"))
+        })?;
+        let words = words(state, value).ok_or_else(|| {
+            let expected = match (&state.row.unit, state.row.is_list) {
+                (None, _) => "true or false",
+                (_, true) => "a list of texts",
+                _ => "a number, a text or null",
+            };
+            HttpError::wrong(format!("{name} has the wrong type; expected {expected}"))
+        })?;
+        // In the order of their names, for the log and the file.
+        let at = changes.partition_point(|(known, _)| *known < name);
+        changes.insert(at, (name, words));
+    }
+    host.change_settings(&changes).map_err(|refused| match refused {
         Refused::NoOptions => no_options(),
         Refused::Invalid(error) => HttpError::wrong(error),
         Refused::Moving => {
@@ -213,15 +252,14 @@ pub(crate) fn change(host: &mut impl Host, body: SettingsBody) -> Result<(), Htt
 /// Returns the words of a value; the outer `None` for a value of the wrong type.
 fn words(state: &SettingState, value: Value) -> Option<Option<Vec<String>>> {
     let word = |value: Value| match value {
-        Value::String(text) => Some(text),
-        Value::Number(number) => Some(number.to_string()),
+        Value::Text(text) | Value::Number(text) => Some(text),
         _ => None,
     };
     match value {
         Value::Null => Some(None),
         Value::Bool(on) if state.row.unit.is_none() => Some(on.then(Vec::new)),
         _ if state.row.unit.is_none() => None,
-        Value::Array(items) if state.row.is_list => {
+        Value::List(items) if state.row.is_list => {
             let words: Vec<String> = items.into_iter().map(word).collect::<Option<_>>()?;
             Some((!words.is_empty()).then_some(words))
         }

@@ -3,8 +3,9 @@
 use super::answer::status;
 use super::bench::{Bench, PAGE};
 use super::faulty_line::Latency;
+use super::json::object;
 use super::log::Log;
-use super::publisher::{Event, Publisher, hello, object};
+use super::publisher::{Event, Publisher, hello};
 use super::settings::{Changes, Given, Refused, Setting, SettingState, changed_settings};
 use super::system_log::{Severity, SystemLog};
 use super::{Action, Answer, Host, HttpError, check, lacking, words};
@@ -14,7 +15,7 @@ use std::sync::LazyLock;
 
 /// The table of settings, as the command line of `wsg-sim` defines it. A test compares them.
 static TABLE: LazyLock<Vec<Setting>> =
-    LazyLock::new(|| serde_json::from_slice(include_bytes!("settings.json")).unwrap_or_default());
+    LazyLock::new(|| include_str!("settings.tsv").lines().map(Setting::of).collect());
 
 /// Interval between two samples of the history, in ms.
 const SAMPLE_MS: u64 = 50;
@@ -99,7 +100,7 @@ impl Simulator {
         self.keep_tag();
         match answer {
             Ok(Answer::Json(text) | Answer::LogFile(text)) => (200, text),
-            Err(HttpError { status, error, .. }) => (status, object("error", &error)),
+            Err(HttpError { status, error, .. }) => (status, object! { "error": error }),
         }
     }
 
@@ -150,11 +151,7 @@ impl Simulator {
     fn keep_tag(&mut self) {
         let tag = self.bench.gripper().tag().as_str();
         for given in [&mut self.given, &mut self.at_start] {
-            if tag.is_empty() {
-                given.remove("tag");
-            } else {
-                given.insert("tag".to_owned(), vec![tag.to_owned()]);
-            }
+            given.set("tag", (!tag.is_empty()).then(|| vec![tag.to_owned()]));
         }
     }
 }
@@ -168,7 +165,7 @@ fn bench(config: Config, run: u64, system_log: SystemLog) -> Bench {
 /// Returns the settings of a gripper.
 fn configured(given: &Given) -> Result<Config, String> {
     let mut config = Config::default();
-    for (name, words) in given {
+    for (name, words) in given.iter() {
         if words::set(&mut config, name, words).is_some() {
             continue;
         }
@@ -199,13 +196,7 @@ impl Host for Simulator {
     }
 
     fn change_settings(&mut self, changes: &Changes) -> Result<(), Refused> {
-        let mut given = self.given.clone();
-        for (name, words) in changes {
-            match words {
-                Some(words) => given.insert(name.clone(), words.clone()),
-                None => given.remove(name),
-            };
-        }
+        let given = self.given.with(changes);
         let config = configured(&given).map_err(Refused::Invalid)?;
         if !self.bench.reconfigure(&config, self.now) {
             return Err(Refused::Moving);

@@ -2,10 +2,10 @@
 //!
 //! It holds operator events, not frames; those are in the [`Log`](super::log::Log).
 
+use super::json::{ToJson, members};
 use super::log::Sink;
 use crate::text::one_line;
 use crate::time::Time;
-use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -15,8 +15,7 @@ const MAX_ENTRIES: usize = 500;
 const MAX_TEXT_LEN: usize = 300;
 
 /// How much an entry matters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Severity {
     Info,
     /// Someone must look: motion is locked or a limit is near.
@@ -35,24 +34,33 @@ impl Severity {
     }
 }
 
-#[derive(Clone, Debug, Serialize)]
+impl ToJson for Severity {
+    fn write(&self, json: &mut String) {
+        self.name().write(json);
+    }
+}
+
+#[derive(Clone, Debug)]
 pub(crate) struct Entry {
     /// Counts all entries since the start of the program.
     pub(crate) number: u64,
     /// Date and time of the system, in UTC.
     pub(crate) date: String,
     /// Seconds since power-up.
-    pub(crate) time_s: f64,
+    pub(crate) time_s: Time,
     pub(crate) severity: Severity,
     /// The origin, such as `tcp 127.0.0.1:50124`, `page` or `script`.
     pub(crate) source: String,
     pub(crate) text: String,
 }
+members!(Entry: number, date, time_s, severity, source, text);
 
 impl std::fmt::Display for Entry {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { date, time_s, severity, source, text, .. } = self;
-        write!(f, "{date} {time_s:.3} s {:7} {source}: {text}", severity.name())
+        let millis = (time_s.as_micros() + 500) / 1_000;
+        let (seconds, millis) = (millis / 1_000, millis % 1_000);
+        write!(f, "{date} {seconds}.{millis:03} s {:7} {source}: {text}", severity.name())
     }
 }
 
@@ -81,7 +89,7 @@ impl SystemLog {
         let entry = Entry {
             number: entries.next,
             date: (entries.date)(),
-            time_s: now.as_micros() as f64 / 1e6,
+            time_s: now,
             severity,
             source: one_line(source).into_owned(),
             text: one_line(&text.chars().take(MAX_TEXT_LEN).collect::<String>()).into_owned(),

@@ -36,7 +36,7 @@ impl MotionControl {
         if let Err(refused) = self.may_go_to(nominal) {
             return refused;
         }
-        let nominal = nominal.clamp(0.0, self.stroke());
+        let nominal = nominal.max(0.0).min(self.stroke());
         let clamping_travel = f64::from(order.clamping_travel);
         let (direction, tolerance, end) = match order.width {
             Some(_) => {

@@ -18,6 +18,7 @@ mod socket;
 
 use super::hub::Hub;
 use super::open_line::{Listen, OpenLine};
+use crate::control::json::{self, Json, body, object};
 use crate::control::{
     Action, Bench, Changes, CommandBody, Effect, Host, HttpError, Publisher, Refused, SettingState, expected,
     hello, parsed, state,
@@ -40,7 +41,6 @@ use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
 use peer::Peer;
 use scripts::ScriptBody;
-use serde::Deserialize;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -243,20 +243,20 @@ async fn serve_connection(site: Site, link: Rc<Link>, stream: TcpStream, peer: I
 }
 
 /// A command of a page.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug)]
 struct MessageBody {
     /// The number that the answer repeats.
     id: u64,
     as_of: Option<String>,
     body: CommandBody,
 }
+body!(MessageBody: id, as_of, body);
 
 const MESSAGE_EXPECTED: &str = r#"{"id":1,"as_of":"...","body":{"command":"home"}}"#;
 
 /// Executes a command of a page, and returns the event that answers it.
 fn answer_message(site: &Site, sender: Sender, message: &str) -> Bytes {
-    let parsed: Result<MessageBody, _> = serde_json::from_str(message);
+    let parsed: Result<MessageBody, _> = json::read(message.as_bytes());
     let id = parsed.as_ref().ok().map(|message| message.id);
     let answer = parsed
         .map_err(|error| {
@@ -268,15 +268,14 @@ fn answer_message(site: &Site, sender: Sender, message: &str) -> Bytes {
             }
             site.hub.at_bench(|bench, now| {
                 body.execute(bench, now)?;
-                state(bench, now)
+                Ok(state(bench, now))
             })
         });
     let (status, body) = match answer {
         Ok(state) => (StatusCode::OK.as_u16(), state),
-        Err(HttpError { status, error, .. }) => (status, serde_json::json!({ "error": error }).to_string()),
+        Err(HttpError { status, error, .. }) => (status, object! { "error": error }),
     };
-    let id = serde_json::json!(id);
-    event("answer", &format!("{{\"id\":{id},\"status\":{status},\"body\":{body}}}"))
+    event("answer", &object! { "id": id, "status": status, "body": Json(&body) })
 }
 
 async fn answer(
@@ -388,7 +387,7 @@ async fn act(site: &Site, connection: &Connection, request: Request<Incoming>) -
             } else {
                 scripts::scripts(hub, None)?
             };
-            return Ok(of_control(crate::control::Answer::json(&answer)?));
+            return Ok(of_control(crate::control::Answer::of_json(answer)));
         }
         // Shows a page whose WebSocket does not open whether the server would accept it.
         "/events" if is_post => {

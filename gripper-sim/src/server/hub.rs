@@ -6,7 +6,7 @@ mod settings;
 
 pub(super) use crate::control::BusLine;
 pub(super) use client::ClientHandle;
-pub(super) use scripts::{OutputLine, Run, ScriptReport};
+pub(super) use scripts::Run;
 pub(super) use settings::{Changes, Refused, Running};
 
 use super::lines::Profile;

@@ -333,13 +333,7 @@ impl Options {
     /// # Errors
     /// Returns one line that names the setting and the expected values.
     pub(in crate::server) fn with(&self, changes: &Changes) -> Result<Self> {
-        let mut given = self.given.clone();
-        for (name, words) in changes {
-            match words {
-                Some(words) => given.insert(name.clone(), words.clone()),
-                None => given.remove(name),
-            };
-        }
+        let given = self.given.with(changes);
         let words = given.iter().flat_map(|(name, words)| {
             let values: Vec<String> = words.iter().map(|word| format!("--{name}={word}")).collect();
             if values.is_empty() { vec![format!("--{name}")] } else { values }
@@ -349,18 +343,18 @@ impl Options {
 
     fn of(matches: &ArgMatches, file: Option<PathBuf>) -> Result<Self> {
         let given = definition().get_arguments().filter_map(|arg| given_words(matches, arg)).collect();
-        Arguments::from_arg_matches(matches)?.options(file, given)
+        Arguments::from_arg_matches(matches)?.options(file, Given::default().with(&given))
     }
 }
 
 /// Returns the name of an option and its words, if it is given.
-fn given_words(matches: &ArgMatches, arg: &Arg) -> Option<(String, Vec<String>)> {
+fn given_words(matches: &ArgMatches, arg: &Arg) -> Option<(String, Option<Vec<String>>)> {
     let (id, name) = (arg.get_id().as_str(), arg.get_long()?);
     if matches.value_source(id) != Some(ValueSource::CommandLine) || name == "config" {
         return None;
     }
     let words = matches.get_raw(id).into_iter().flatten().map(|word| word.to_string_lossy().into_owned());
-    Some((name.to_owned(), if value_name(arg).is_some() { words.collect() } else { vec![] }))
+    Some((name.to_owned(), Some(if value_name(arg).is_some() { words.collect() } else { vec![] })))
 }
 
 /// Reduces clap's message to one line without the usage. Help and version are not errors: they end the program.

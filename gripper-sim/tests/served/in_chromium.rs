@@ -404,7 +404,8 @@ fn page_asks_its_own_server_alone_and_the_console_stays_empty() {
     }
     tab.until(&flag_is_on("FAST_STOP"));
     let requests = tab.events_of("Network.requestWillBeSent");
-    assert!(requests.len() > 10, "{requests:?}");
+    // The least are a page, its style, its script and a worker.
+    assert!(requests.len() >= 4, "{requests:?}");
     for request in &requests {
         let url = request["request"]["url"].as_str().unwrap();
         assert!(url.starts_with(&format!("{}/", gripper.page)), "{url}");

@@ -168,7 +168,7 @@ macro_rules! float_fields {
             fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
                 let mut separator = "";
                 $(
-                    write!(f, concat!("{}", $text, " {:.1} ", $unit), separator, self.$name)?;
+                    write!(f, concat!("{}", $text, " {:.1} ", $unit), separator, crate::Number(self.$name))?;
                     separator = ", ";
                 )*
                 let _ = separator;
@@ -274,7 +274,7 @@ pub struct Temperature(pub i16);
 
 impl core::fmt::Display for Temperature {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "{:.1} °C", f32::from(self.0) / 10.0)
+        write!(f, "{:.1} °C", crate::Number(f32::from(self.0) / 10.0))
     }
 }
 

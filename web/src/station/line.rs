@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 use std::convert::Infallible;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
-use serde::Serialize;
 use wsg_bridge_fw::gripper::{BAUD, TO_SEND_MAX};
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{Direction, Event, FrameEncoder, FrameParser, Meaning};
+use wsg_sim::control::json::members;
 
 /// Time of a byte with start and stop bit, in nanoseconds.
 const BYTE_NS: u64 = 10 * 1_000_000_000 / BAUD as u64;
@@ -19,7 +19,7 @@ const BYTES_PER_TURN: usize = 12;
 const FLIPPED: u8 = 0x10;
 
 /// A frame that was sent on the line.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SentFrame {
     /// Number of the frame since the start, from 0.
     pub number: u32,
@@ -38,6 +38,7 @@ pub struct SentFrame {
     /// Whether a byte was lost, because the line was cut.
     pub is_lost: bool,
 }
+members!(SentFrame: number, at_us, takes_us, to_gripper, text, bytes, is_damaged, is_lost);
 
 /// One direction of the line.
 pub(super) struct Way {

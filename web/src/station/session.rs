@@ -110,7 +110,7 @@ impl Session {
         let time = |before: u64, text| before.checked_add(u64::from_str_radix(text, 16).ok()?);
         for part in actions.split('~').filter(|part| !part.is_empty()) {
             let letter = part.find(|char: char| !char.is_ascii_hexdigit())?;
-            let (at, action) = part.split_at(letter);
+            let (at, action) = part.split_at_checked(letter)?;
             session.end_us = time(session.end_us, at)?;
             session.actions.push((session.end_us, Action::parse(action)?));
         }

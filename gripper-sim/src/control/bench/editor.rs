@@ -2,9 +2,9 @@
 
 use super::{Bench, Client};
 use crate::control::answer::{HttpError, status};
+use crate::control::json::{body, members};
 use crate::port::{MAX_FRAME_LEN, PortKind};
 use crate::time::{Time, earlier};
-use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_LEN};
 use wsg_protocol::{CommandId, Direction, Frame, FrameEncoder, Meaning, editor};
@@ -17,15 +17,13 @@ const MAX_PAYLOAD_LEN: usize = 1_016;
 /// Maximum number of frames that are kept.
 const MAX_FRAMES: usize = 100;
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug)]
 pub(crate) struct FrameBody {
     command: String,
-    #[serde(default)]
     payload: String,
-    #[serde(default)]
     send: bool,
 }
+body!(FrameBody: command, #[default] payload, #[default] send);
 
 impl FrameBody {
     /// Returns whether this is a frame for the gripper, except a Stop and a FAST STOP.
@@ -36,24 +34,24 @@ impl FrameBody {
 }
 
 /// A frame with its meaning.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug)]
 pub(crate) struct Exchanged {
     pub(crate) number: u64,
-    time_s: f64,
+    time_s: Time,
     /// `->` to the gripper, `<-` from it.
     direction: String,
     id: u8,
     bytes: Vec<u8>,
     meaning: String,
 }
+members!(Exchanged: number, time_s, direction, id, bytes, meaning);
 
 impl Exchanged {
     fn new(direction: Direction, bytes: &[u8], now: Time) -> Self {
         let id = bytes.get(PREAMBLE_LEN).copied().unwrap_or(0);
         let payload = bytes.get(PREAMBLE_LEN + 3..bytes.len().saturating_sub(2)).unwrap_or(&[]);
         let meaning = Meaning { direction, frame: Frame { id, payload } }.to_string();
-        let time_s = now.as_micros() as f64 / 1e6;
-        Self { number: 0, time_s, direction: direction.to_string(), id, bytes: bytes.to_vec(), meaning }
+        Self { number: 0, time_s: now, direction: direction.to_string(), id, bytes: bytes.to_vec(), meaning }
     }
 }
 

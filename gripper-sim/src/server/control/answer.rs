@@ -1,6 +1,7 @@
 //! Answers of the control interface, and the reasons of rejected requests.
 
 use super::events::Events;
+use crate::control::json::object;
 use crate::control::{self, HttpError};
 use http_body_util::{Either, Full};
 use hyper::body::Bytes;
@@ -19,7 +20,7 @@ const PRIVATE: [(HeaderName, &str); 3] =
 /// Returns the answer, or the reason of a rejection, with the headers of every answer.
 pub(super) fn finished(answer: Result<Answer, HttpError>) -> Answer {
     let mut response = answer.unwrap_or_else(|HttpError { status, error, allowed }| {
-        let json = serde_json::json!({ "error": error }).to_string();
+        let json = object! { "error": error };
         let mut response = of_control(control::Answer::of_json(json));
         *response.status_mut() = StatusCode::from_u16(status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         if let Some(method) = allowed.and_then(|allowed| HeaderValue::from_str(&allowed).ok()) {

@@ -1,12 +1,12 @@
 //! The scripts in the folder of `--scripts`: list, read, save, delete, run, stop, and the script that runs at the start.
 
 use crate::control::HttpError;
+use crate::control::json::{IfSome, body, members, names, object};
 use crate::server::folder;
-use crate::server::hub::{Changes, Hub, OutputLine, Refused, ScriptReport};
+use crate::server::hub::{Changes, Hub, Refused};
 use crate::server::script::Script;
 use crate::text;
 use hyper::StatusCode;
-use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
 use std::{fs, io};
@@ -22,13 +22,13 @@ const MAX_SCRIPTS: usize = 100;
 /// The longest name of a script.
 const MAX_NAME_LEN: usize = 60;
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug)]
 pub(super) struct ScriptBody {
     action: Action,
     name: Option<String>,
     source: Option<String>,
 }
+body!(ScriptBody: action, name, source);
 
 impl ScriptBody {
     /// Returns whether the request may change something, except that it stops a script.
@@ -37,8 +37,7 @@ impl ScriptBody {
     }
 }
 
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Action {
     Read,
     Save,
@@ -48,41 +47,33 @@ enum Action {
     /// Runs the script at each start; without a name, none.
     StartUp,
 }
+names!(
+    Action: Read "read", Save "save", Delete "delete", Run "run", Stop "stop", StartUp "start_up"
+);
 
-/// The answer to requests about scripts.
-#[derive(Debug, Serialize)]
-pub(super) struct ScriptsAnswer {
-    /// Null without `--scripts`.
-    folder: Option<String>,
-    list: Vec<ScriptFile>,
-    /// The script in the folder that runs at the start.
-    start_up: Option<String>,
-    latest: ScriptReport,
-    output: Vec<OutputLine>,
-    /// The source, for the action `read`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    source: Option<String>,
-}
-
-#[derive(Debug, Serialize)]
+#[derive(Debug)]
 struct ScriptFile {
     name: String,
     bytes: u64,
 }
+members!(ScriptFile: name, bytes);
 
-/// Returns the scripts of the folder.
-pub(super) fn scripts(hub: &Hub, source: Option<String>) -> Result<ScriptsAnswer, HttpError> {
+/// Returns the scripts of the folder, and the source for the action `read`: the answer to requests about scripts.
+pub(super) fn scripts(hub: &Hub, source: Option<String>) -> Result<String, HttpError> {
     let folder = hub.script_folder();
     let start_up = hub.start_up_script().filter(|path| path.parent() == folder.as_deref());
     let (latest, output) = hub.script_report(0);
     let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
-    Ok(ScriptsAnswer {
-        list: folder.as_deref().map_or_else(|| Ok(vec![]), list).map_err(|error| failed("read", &error))?,
-        folder: folder.map(|folder| folder.display().to_string()),
-        start_up: start_up.as_deref().and_then(name),
-        latest,
-        output,
-        source,
+    let list = folder.as_deref().map_or_else(|| Ok(vec![]), list).map_err(|error| failed("read", &error))?;
+    Ok(object! {
+        // Null without `--scripts`.
+        "folder": folder.map(|folder| folder.display().to_string()),
+        "list": list,
+        // The script in the folder that runs at the start.
+        "start_up": start_up.as_deref().and_then(name),
+        "latest": latest,
+        "output": output,
+        "source": IfSome(source),
     })
 }
 
@@ -101,7 +92,7 @@ fn list(folder: &Path) -> io::Result<Vec<ScriptFile>> {
 }
 
 /// Executes an action, and returns the scripts.
-pub(super) fn execute(hub: &Arc<Hub>, body: ScriptBody) -> Result<ScriptsAnswer, HttpError> {
+pub(super) fn execute(hub: &Arc<Hub>, body: ScriptBody) -> Result<String, HttpError> {
     let ScriptBody { action, name, source } = body;
     if action == Action::Stop {
         hub.stop_script();

@@ -68,10 +68,10 @@ fn setting(command: &Command, arg: &Arg) -> Option<Setting> {
     let choices = arg.get_possible_values();
     Some(Setting {
         name: name.to_owned(),
-        group,
+        group: (*group).to_owned(),
         meaning: meaning.to_owned(),
         default: given.unwrap_or(default).to_owned(),
-        unit,
+        unit: unit.map(str::to_owned),
         choices: choices.iter().filter(|_| unit.is_some()).map(|value| value.get_name().to_owned()).collect(),
         expected: expected.to_owned(),
         is_at_once: AT_ONCE.contains(&name),

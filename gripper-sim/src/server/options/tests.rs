@@ -3,7 +3,7 @@
 use super::table::AT_ONCE;
 use super::*;
 use crate::axis::Part;
-use crate::control::words;
+use crate::control::{Setting, words};
 
 fn options(arguments: &[&str]) -> Result<Options> {
     Options::parse(arguments.iter().map(OsString::from).collect())
@@ -380,10 +380,10 @@ fn every_option_is_a_grouped_setting_or_the_programs() {
     }
     let of = |name: &str| settings.iter().find(|setting| setting.name == name).unwrap();
     let travel = of("clamping-travel");
-    assert_eq!((travel.group, travel.unit, &travel.default[..]), (MOTION, Some("mm"), "5"));
+    assert_eq!((&travel.group[..], travel.unit.as_deref(), &travel.default[..]), (MOTION, Some("mm"), "5"));
     assert_eq!((&travel.expected[..], travel.is_at_once), ("a number from 0 to 1000", true));
     assert_eq!(of("homing-default").choices, ["out", "in"]);
-    assert_eq!((of("homing-at-start").unit, of("homing-at-start").is_at_once), (None, false));
+    assert_eq!((&of("homing-at-start").unit, of("homing-at-start").is_at_once), (&None, false));
     assert_eq!(of("force").default, "the model's");
 }
 
@@ -417,8 +417,8 @@ fn settings_change_one_by_one_and_return_to_their_defaults() {
 /// A page without a server has no command line: it has the table, and its own parser of the settings of the gripper.
 #[test]
 fn page_without_a_server_has_the_same_settings() {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/control/settings.json");
-    let table = serde_json::to_string_pretty(settings()).unwrap() + "\n";
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/control/settings.tsv");
+    let table: String = settings().iter().map(Setting::line).collect();
     if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
         std::fs::write(file, &table).unwrap();
     }
