@@ -184,6 +184,9 @@ pub const MAX_DRAWING_MS: f64 = 4.1;
 /// Maximum number of repetitions of an input.
 const REPETITIONS: usize = 30;
 
+/// The error of a request while the network interfaces change.
+const CHANGED: &str = "net::ERR_NETWORK_CHANGED";
+
 impl Tab {
     /// Opens an empty window.
     fn new() -> Self {
@@ -207,7 +210,13 @@ impl Tab {
     /// Opens a window with this URL.
     pub fn open(url: &str) -> Self {
         let mut tab = Self::new();
-        let shown = tab.call("Page.navigate", &json!({"url": url}));
+        // The tests in network namespaces add and remove interfaces meanwhile, which ends every request.
+        let mut shown = json!({"errorText": CHANGED});
+        for _ in 0..20 {
+            if shown["errorText"] == CHANGED {
+                shown = tab.call("Page.navigate", &json!({"url": url}));
+            }
+        }
         assert!(shown["errorText"].is_null(), "{url}: {shown}");
         tab
     }

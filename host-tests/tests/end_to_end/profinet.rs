@@ -256,12 +256,19 @@ fn profinet_py_in_namespaces_finds_its_writes_after_a_restart() {
 fn profinet_py_in_namespaces_finds_its_writes_after_a_restart_of_a_gateway() {
     let network = Network::new();
     let file = std::env::temp_dir().join(network.0.namespace(End::Gripper));
+    let kept = file.with_extension("profinet");
     for part in ["label", "labelled"] {
         let _gateway = network.serve_gateway(config(), &["--settings", file.to_str().unwrap()]);
         let output = network.python(CONTROLLER, &[part]);
         assert!(output.status.success(), "{}", printed(&output));
+        // A thread stores the last write, so that no disk holds the bridges.
+        let bound = Instant::now() + Duration::from_secs(60);
+        while !fs::read_to_string(&kept).is_ok_and(|kept| kept.contains("links")) {
+            assert!(Instant::now() < bound, "the write was not stored");
+            thread::yield_now();
+        }
     }
-    fs::remove_file(file.with_extension("profinet")).unwrap();
+    fs::remove_file(kept).unwrap();
 }
 
 #[test]
