@@ -288,6 +288,14 @@ local function flags_text(bits, names)
   return #words > 0 and table.concat(words, " | ") or "0"
 end
 
+-- Returns a number with a decimal, from 1e15 on with an exponent.
+local function number(value)
+  if math.abs(value) < 1e15 then
+    return string.format("%.1f", value)
+  end
+  return (string.format("%.1e", value):gsub("e%+", "e"))
+end
+
 local function finite(part)
   local value = part:le_float()
   if value ~= value or value == math.huge or value == -math.huge then
@@ -320,7 +328,7 @@ local function floats(...)
       if not value then
         return nil, refused
       end
-      texts[index] = string.format("%s %.1f %s", word[1], value, word[2])
+      texts[index] = string.format("%s %s %s", word[1], number(value), word[2])
     end
     return { part, table.concat(texts, ", ") }
   end
@@ -337,7 +345,7 @@ local TYPES = {
     if not value then
       return nil, refused
     end
-    return { part, string.format("%.1f", value), value }
+    return { part, number(value), value }
   end,
   bool = function(input)
     local part, why = take(input, 1)
