@@ -21,6 +21,11 @@ pub trait PolledFlash {
     /// Returns the bytes of the slot.
     fn capacity(&self) -> usize;
 
+    /// Returns whether the slot has `len` bytes at this offset.
+    fn contains(&self, at: u32, len: usize) -> bool {
+        self.capacity().checked_sub(len).is_some_and(|last| at as usize <= last)
+    }
+
     /// Reads the double word at this offset, a multiple of 8. Not called during an operation.
     ///
     /// # Errors
@@ -83,10 +88,10 @@ impl<F: PolledFlash> Blocking<F> {
         len: usize,
         unit: usize,
     ) -> Result<impl Iterator<Item = u32> + use<F>, NorFlashErrorKind> {
-        let end = (from as usize).checked_add(len).filter(|end| *end <= self.0.capacity());
-        let end = end.ok_or(NorFlashErrorKind::OutOfBounds)?;
+        self.0.contains(from, len).then_some(()).ok_or(NorFlashErrorKind::OutOfBounds)?;
         let is_aligned = (from as usize).is_multiple_of(unit) && len.is_multiple_of(unit);
-        is_aligned.then_some((from..end as u32).step_by(unit)).ok_or(NorFlashErrorKind::NotAligned)
+        let offsets = (from..from.saturating_add(len as u32)).step_by(unit);
+        is_aligned.then_some(offsets).ok_or(NorFlashErrorKind::NotAligned)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use wsg_bridge_fw::registers::UpdateRefusal;
 use wsg_bridge_fw::storage::{
-    self, FlashError, ImageVersion, NorFlash, Page, Progress, SLOT_PAGE_LEN, Slot, Unreadable,
+    FlashError, ImageVersion, NorFlash, Page, Progress, SLOT_PAGE_LEN, Slot, Unreadable,
 };
 use wsg_protocol::Instant;
 use wsg_update::{Check, Keys, Manifest, Refusal, Rules, SIGNATURE_LEN, SLOT_LEN, Target};
@@ -53,7 +53,7 @@ enum Work {
     /// A request of an earlier image is withdrawn before the first erase.
     Settle,
     Erase,
-    /// Programs the page at this offset; so many bytes of it are done.
+    /// Programs the page at this offset. The second number counts its bytes that are done.
     Program(u32, usize),
     Request,
     Confirm,
@@ -256,7 +256,7 @@ impl<P: NorFlash, F: PolledFlash, S: NorFlash, T: NorFlash> NorFlash for FlashWi
     const PAGE_LEN: usize = P::PAGE_LEN;
     const OPERATION_TIMEOUT_MS: u32 = P::OPERATION_TIMEOUT_MS;
 
-    fn read(&self, page: Page, index: usize) -> Result<u64, storage::Unreadable> {
+    fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
         self.settings.read(page, index)
     }
 

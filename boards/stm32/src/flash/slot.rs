@@ -27,10 +27,9 @@ pub(crate) const B: Slot =
     Slot { start: FLASH_START + FLASH_BANK_BYTES, len: SLOT_LEN as usize + PAGE_BYTES };
 
 impl Slot {
-    /// Returns the address of so many bytes at this offset.
+    /// Returns the address of this offset; `None` if the slot has no `len` bytes there.
     fn address(&self, at: u32, len: usize) -> Option<usize> {
-        let is_inside = self.len.checked_sub(len).is_some_and(|last| at as usize <= last);
-        is_inside.then(|| self.start.wrapping_add(at as usize))
+        self.contains(at, len).then(|| self.start.wrapping_add(at as usize))
     }
 }
 

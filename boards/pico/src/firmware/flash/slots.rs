@@ -43,10 +43,9 @@ pub(crate) const fn trust() -> RecordSectors {
 }
 
 impl Slot {
-    /// Returns the offset of so many bytes from the start of flash.
+    /// Returns this offset from the start of flash; `None` if the slot has no `len` bytes there.
     fn offset(&self, at: u32, len: usize) -> Option<u32> {
-        let is_inside = self.len.checked_sub(len).is_some_and(|last| at as usize <= last);
-        is_inside.then(|| self.start.wrapping_add(at))
+        self.contains(at, len).then(|| self.start.wrapping_add(at))
     }
 }
 
