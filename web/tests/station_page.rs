@@ -1,4 +1,4 @@
-//! The page of the station in Chromium, from the folder that `cargo xtask web` builds.
+//! The page of the station in Chromium and Firefox, from the folder that `cargo xtask web` builds.
 
 mod sessions;
 
@@ -113,6 +113,17 @@ fn step(number: u8) -> String {
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn tour_of_the_static_page_is_clicked_through_in_chromium() {
+    tour();
+}
+
+#[test]
+#[ignore = "needs Firefox: `cargo xtask test` installs it"]
+fn tour_of_the_static_page_is_clicked_through_in_firefox() {
+    browser::use_firefox();
+    tour();
+}
+
+fn tour() {
     let site = Site::open();
     let mut tab = Tab::open(&site.address("station.html"));
     tab.until(&step(1));

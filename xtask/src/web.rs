@@ -26,7 +26,7 @@ const FOLDERS: [&str; 2] = ["gripper-sim/src/server/control/page", "web/page"];
 const MAX_COMPRESSED: usize = 150_000;
 /// What the page of the gripper may load: its own files.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; \
-                      worker-src 'self'; base-uri 'none'; form-action 'none'";
+                      worker-src 'self'; img-src data:; base-uri 'none'; form-action 'none'";
 /// The line of the page that offers device files, of which a gripper without a bus has no use.
 const DEVICE_FILES: &str = "<p class=\"files\">";
 /// Where the page `try` of the book has the gripper's page. The PDF has a picture alone.

@@ -54,7 +54,7 @@ pub(crate) const FOR_C: [Program; 5] = [
 ];
 
 /// The Debian programs, as named in the tests that need them.
-const FROM_DEBIAN: [Program; 12] = [
+const FROM_DEBIAN: [Program; 13] = [
     (NAMESPACES, "ip", "iproute2"),
     ("mbpoll", "mbpoll", "mbpoll"),
     FOR_C[0],
@@ -64,6 +64,7 @@ const FROM_DEBIAN: [Program; 12] = [
     ("under_valgrind", "valgrind", "valgrind"),
     ("by_hand_with_nc", "nc", "netcat-openbsd"),
     ("in_chromium", "chromium", "chromium"),
+    ("in_firefox", "firefox-esr", "firefox-esr"),
     ("tshark", "tshark", "tshark"),
     ("mosquitto", "mosquitto", "mosquitto"),
     ("mosquitto", "mosquitto_sub", "mosquitto-clients"),
