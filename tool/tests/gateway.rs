@@ -63,6 +63,9 @@ const NOT_INITIALIZED: u16 = 3;
 /// Message about a silent gripper.
 const SILENT: &str = "the gripper does not answer";
 
+/// Message about a gripper that is sent a FAST STOP at the end, because it answers late.
+const UNSTOPPED: &str = "did not confirm within 500 ms that its fingers stopped: FAST STOP";
+
 /// A gateway, and its grippers with parts of 20 mm. Most tests have one.
 struct Rig {
     grippers: Vec<ServerThread>,
@@ -221,7 +224,7 @@ fn unpaused(test: impl Fn(&mut Rig)) {
 fn unpaused_on(start: impl Fn() -> Rig, test: impl Fn(&mut Rig)) -> String {
     let is_disturbed = |rig: &Rig, messages: &str| {
         let silences = rig.cuts.lock().unwrap().div_ceil(2);
-        messages.matches(SILENT).count() > silences
+        messages.matches(SILENT).count() > silences || messages.contains(UNSTOPPED)
     };
     gateway::unpaused(start, |rig| &mut rig.gateway, is_disturbed, test)
 }
@@ -367,6 +370,20 @@ fn sigterm_during_a_motion_stops_it_without_a_fast_stop() {
         rig.end(Signal::TERM);
         assert!(rig.gripper().state().width > 12.0, "{:?}", rig.gripper().state());
     });
+}
+
+#[test]
+fn sigterm_during_a_motion_on_a_cut_line_says_that_the_fingers_did_not_stop() {
+    let messages = unpaused_on(
+        || rig_on(Link::Udp),
+        |rig| {
+            let _master = rig.moving();
+            rig.cut_or_mend();
+            rig.signal(Signal::TERM);
+            assert_eq!(rig.gateway.process.wait().unwrap().code(), Some(0));
+        },
+    );
+    assert!(messages.contains(UNSTOPPED), "{messages}");
 }
 
 #[test]

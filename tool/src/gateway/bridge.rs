@@ -309,6 +309,12 @@ impl Gateway {
         self.masters.borrow_mut().dismiss();
         self.silence(SilenceReaction::Stop);
         let is_at_rest = self.reaches(STOP_TIME, is_at_rest).await;
+        if !is_at_rest {
+            self.host.borrow().report(format_args!(
+                "the gripper did not confirm within {} ms that its fingers stopped: FAST STOP",
+                STOP_TIME.as_millis()
+            ));
+        }
         let is_connection = self.host.borrow().line.is_connection();
         if is_connection {
             if is_at_rest && self.announce_end() {
