@@ -64,11 +64,16 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
     try_sdist(workspace, environment)
 }
 
-/// Builds the source distribution, installs the package from it, and grips.
-fn try_sdist(workspace: &Workspace, environment: &Path) -> Result<()> {
+/// Builds the source distribution and returns its path. It has all packages of this workspace that the tests need, too.
+fn sdist(workspace: &Workspace, environment: &Path) -> Result<PathBuf> {
     let out = emptied(workspace, "sdist")?;
     process::run(maturin(workspace, environment, &[])?.args(["sdist", "--out"]).arg(&out))?;
-    let sdist = only_file(&out)?;
+    only_file(&out)
+}
+
+/// Installs the package from the source distribution, and grips.
+fn try_sdist(workspace: &Workspace, environment: &Path) -> Result<()> {
+    let sdist = sdist(workspace, environment)?;
     let mut pip = in_environment(workspace, environment, "python")?;
     // The content does not depend on the profile, and the dependencies are compiled already.
     pip.args(INSTALL.split_whitespace()).arg(&sdist).env("MATURIN_PEP517_ARGS", "--profile dev");
@@ -113,7 +118,7 @@ pub(crate) fn install_wheel(environment: &Path, wheel: &Path) -> Result<()> {
     process::run(pip.args(INSTALL.split_whitespace()).arg(wheel))
 }
 
-/// Runs the tests of the installed package, and of the plugin for LeRobot from its source distribution.
+/// Runs the tests of the installed package, and of the plugin for LeRobot from its source distribution. Builds the package's own.
 pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
     let bin = environment.join("bin");
     let path = env::join_paths([bin.as_path(), Path::new("/usr/bin"), Path::new("/bin")])?;
@@ -130,7 +135,8 @@ pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
     let build = format!("from flit_core.buildapi import build_sdist; build_sdist({out:?})");
     process::run(python(LEROBOT_PLUGIN, "-c").arg(build))?;
     process::run(python(LEROBOT_PLUGIN, INSTALL).arg(only_file(&out)?))?;
-    process::run(&mut python(LEROBOT_PLUGIN, "-m pytest -q -p no:cacheprovider -n 4 tests"))
+    process::run(&mut python(LEROBOT_PLUGIN, "-m pytest -q -p no:cacheprovider -n 4 tests"))?;
+    sdist(workspace, environment).map(drop)
 }
 
 /// Builds a wheel and returns its path.

@@ -1,12 +1,14 @@
-//! The build script of every board: passes its memory layout and the sections of its log to the linker. Host builds need neither.
+//! The build script of every board.
 
 use std::env;
 use std::path::PathBuf;
 
-fn main() {
-    println!("cargo:rerun-if-changed=../build.rs");
+/// Passes the memory layout of the board and the sections of its log to the linker. Host builds need neither. Call it in `build.rs`.
+pub fn pass_layout() {
+    println!("cargo:rerun-if-changed=build.rs");
     let has = |feature| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
-    let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    // Cargo runs a build script in the folder of its package.
+    let board = env::current_dir().unwrap_or_else(|_| PathBuf::from("."));
     for (feature, folder) in [("BOOT", "boot"), ("SLOT", "slot")] {
         if has(feature) {
             let memory = board.join(folder);

@@ -1,0 +1,5 @@
+//! Passes the memory layout to the linker.
+
+fn main() {
+    board_build::pass_layout();
+}
