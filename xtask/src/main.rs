@@ -181,7 +181,7 @@ enum Command {
     },
     /// Make every file to upload in target/release-VERSION, and try each as its user would
     Release {
-        /// Parts: firmware, programs, crates, wheels, c, book [default: all]
+        /// Parts: firmware, programs, crates, wheels, c, web, book [default: all]
         parts: Vec<OsString>,
     },
     /// Build the documents as a book in target/book (mdbook), and print it to target/book.pdf (Chromium; without it, there is
@@ -304,7 +304,7 @@ fn release_checks(toolchain: &ThumbToolchain<'_>) -> Result<()> {
     ros2::DISTRIBUTIONS.iter().try_for_each(|name| ros2::test(workspace, name, &wheel, &[]))?;
     commands::api(workspace, false)?;
     // By name: only a release of all parts, for upload, refuses the placeholder of the repository's address.
-    let parts = ["firmware", "programs", "crates", "wheels", "c", "book"].map(Into::into);
+    let parts = ["firmware", "programs", "crates", "wheels", "c", "web", "book"].map(Into::into);
     commands::release(workspace, &parts)?;
     commands::telemetry(workspace)?;
     platforms::run(workspace)?;

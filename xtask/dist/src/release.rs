@@ -35,6 +35,7 @@ wsg-VERSION-SYSTEM               the programs wsg and wsg-sim, manual pages, com
 wsg-tools_VERSION-1_CPU.deb      the same for Debian and Ubuntu
 wsg_gripper-VERSION-....whl      for Python
 libwsg-VERSION.tar.gz            for C and C++
+wsg-web-VERSION.zip              the virtual gripper and the bridge in a browser, for any web server
 wsg-book-VERSION                 the documents, as HTML and PDF
 *.crate                          the crates for Rust, in the order of ORDER.txt
 *.cdx.json                       the parts of an image or a program (CycloneDX)
@@ -67,6 +68,8 @@ enum Part {
     Wheels,
     /// The archive for C and C++
     C,
+    /// The pages for browsers
+    Web,
     /// The documents
     Book,
 }
@@ -94,6 +97,7 @@ pub(crate) fn run(Arguments { to, parts }: &Arguments) -> Result<()> {
             Part::Crates => packages::crates(&mut release)?,
             Part::Wheels => packages::wheels(&mut release)?,
             Part::C => packages::c(&mut release)?,
+            Part::Web => packages::web(&mut release)?,
             Part::Book => packages::book(&mut release)?,
         }
     }

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 use std::sync::LazyLock;
 
-/// What prevents a test from running in Firefox. There, Tab goes on from the last element to Firefox's own controls, and a click of
+/// What prevents a test from running in Firefox. There, Tab leads from the last element to Firefox's own controls, and a click of
 /// WebDriver does not return the focus without a desktop.
 const DEVTOOLS: &str = "the DevTools protocol";
 const FOCUS: &str = "a focus that stays on the page";

@@ -3,6 +3,7 @@
 use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result, ensure};
+use browser::Tab;
 
 use crate::book::{self, without_links};
 
@@ -125,6 +126,19 @@ pub(super) fn c(release: &mut Release) -> Result<()> {
     run_program(grip.args([host, port]), "Release Part: no error\ndone\n")?;
     release.add(&format!("{name}.tar.gz"), &bytes, "grips on wsg-sim: examples/posix.c, by gcc")?;
     sbom::add(release, &name, "bindings/c-host", "x86_64-unknown-linux-gnu", "default")
+}
+
+/// Adds the pages for browsers, and opens the station from a web server.
+pub(super) fn web(release: &mut Release) -> Result<()> {
+    release.xtask("web")?;
+    let name = format!("wsg-web-{VERSION}");
+    let bytes = super::programs::zip(&release.target_dir.join("web"), &name)?;
+    let place = release.folder("web")?;
+    trial::unzip(&place, &bytes)?;
+    release.folder_names_no_path(&place)?;
+    let mut tab = Tab::open(&format!("{}/station.html", browser::serve(&place.join(&name))?));
+    tab.until("document.getElementById('state').textContent.startsWith('Gripper: FAST STOP')");
+    release.add(&format!("{name}.zip"), &bytes, "Chromium runs the station")
 }
 
 /// Adds the book, as HTML and as PDF.

@@ -253,7 +253,7 @@ fn is_used_in_container(release: &Release, files: &Path) -> Result<&'static str>
 }
 
 /// Packs the files of a folder without subfolders.
-fn zip(folder: &Path, name: &str) -> Result<Vec<u8>> {
+pub(super) fn zip(folder: &Path, name: &str) -> Result<Vec<u8>> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
