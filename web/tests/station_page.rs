@@ -113,17 +113,18 @@ fn step(number: u8) -> String {
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn tour_of_the_static_page_is_clicked_through_in_chromium() {
-    tour();
+    tour(pictures);
 }
 
 #[test]
 #[ignore = "needs Firefox: `cargo xtask test` installs it"]
 fn tour_of_the_static_page_is_clicked_through_in_firefox() {
     browser::use_firefox();
-    tour();
+    tour(|_| ());
 }
 
-fn tour() {
+/// Clicks through the tour, and shows the held part.
+fn tour(show: impl Fn(&mut Tab)) {
     let site = Site::open();
     let mut tab = Tab::open(&site.address("station.html"));
     tab.until(&step(1));
@@ -138,7 +139,7 @@ fn tour() {
     tab.click("#pulse_GRIP");
     tab.until(&step(4));
     tab.until("document.querySelector('#drawing').textContent.includes('40.0 N')");
-    pictures(&mut tab);
+    show(&mut tab);
     tab.click("#part_out");
     tab.until(&step(5));
     tab.until(&lamp("PART_FAULT"));
@@ -225,6 +226,29 @@ fn static_page_is_paused_stepped_and_hidden_and_shows_refusals_in_chromium() {
     tab.until(
         "document.getElementById('message').textContent.includes('refused setting 102 with exception 3')",
     );
+}
+
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn keyboard_reaches_everything_on_the_static_page_and_all_has_a_name_in_chromium() {
+    let site = Site::open();
+    let mut tab = Tab::open(&site.address("station.html"));
+    tab.until(&step(1));
+    tab.eval("[...document.querySelectorAll('details')].forEach(details => { details.open = true; })");
+    tab.assert_all_have_names("station");
+    tab.assert_tab_reaches_all("station");
+    tab.eval("document.getElementById('FAST_STOP_OK').focus()");
+    tab.press("Enter");
+    tab.until("document.getElementById('FAST_STOP_OK').ariaChecked === 'true'");
+    for request in tab.events_of("Network.requestWillBeSent") {
+        let url = request["request"]["url"].as_str().unwrap();
+        assert!(url.starts_with(&site.address("")), "{url}");
+    }
+    for method in
+        ["Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded", "Audits.issueAdded"]
+    {
+        assert_eq!(tab.events_of(method), [Value::Null; 0], "{method}");
+    }
 }
 
 #[test]

@@ -306,21 +306,9 @@ fn tab_to(tab: &mut Tab, id: &str) {
 fn keyboard_alone_reaches_and_operates_everything() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
-    let mark =
-        "document.activeElement.dataset.reached = getComputedStyle(document.activeElement).outlineWidth";
-    let all = "[...document.querySelectorAll('button, input, select, textarea, a, summary, [tabindex]')].filter(control => control.checkVisibility())";
     for page in PAGES.into_iter().rev() {
         tab.show(page);
-        tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
-        let count = tab.eval(&format!("{all}.length")).as_u64().unwrap();
-        assert!(count >= 8, "{page}: {count}");
-        for _ in 0..count + 1 {
-            tab.press("Tab");
-            assert_ne!(tab.eval(mark), "0px", "{page}: {}", tab.eval("document.activeElement.outerHTML"));
-        }
-        let missed =
-            format!("{all}.filter(control => !control.dataset.reached).map(control => control.outerHTML)");
-        assert_eq!(tab.eval(&missed), json!([]), "{page}: Tab must reach each element");
+        tab.assert_tab_reaches_all(page);
     }
 
     tab_to(&mut tab, "home");
@@ -339,40 +327,9 @@ fn keyboard_alone_reaches_and_operates_everything() {
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn every_control_has_a_name_for_a_screen_reader() {
     let mut tab = Gripper::new(&[]).open();
-    tab.call("Accessibility.enable", &json!({}));
     for page in PAGES {
         tab.show(page);
-        let controls = tab.eval(
-            "[...document.querySelectorAll('button, input, select, textarea, svg, ul, ol')].filter(control => control.checkVisibility()).length",
-        );
-        let tree = tab.call("Accessibility.getFullAXTree", &json!({}));
-        let mut names = Vec::new();
-        for node in tree["nodes"].as_array().unwrap() {
-            let role = node["role"]["value"].as_str().unwrap_or_default();
-            let has_name = [
-                "button",
-                "spinbutton",
-                "searchbox",
-                "textbox",
-                "checkbox",
-                "combobox",
-                "listbox",
-                "log",
-                "image",
-                "img",
-                "list",
-            ];
-            if node["ignored"] == false && has_name.contains(&role) {
-                let name = node["name"]["value"].as_str().unwrap_or_default();
-                assert!(!name.trim().is_empty(), "{page}: {node}");
-                names.push(format!("{role} {name}"));
-            }
-        }
-        assert_eq!(json!(names.len()), controls, "{page}: {names:#?}");
-        let count = names.len();
-        names.sort();
-        names.dedup();
-        assert_eq!(names.len(), count, "{page}: duplicate names: {names:#?}");
+        tab.assert_all_have_names(page);
     }
 }
 

@@ -384,6 +384,60 @@ impl Tab {
         }
     }
 
+    /// Asserts that Tab leads to every control in sight, and that each shows the focus.
+    pub fn assert_tab_reaches_all(&mut self, page: &str) {
+        let mark =
+            "document.activeElement.dataset.reached = getComputedStyle(document.activeElement).outlineWidth";
+        let all = "[...document.querySelectorAll('button, input, select, textarea, a, summary, [tabindex]')].filter(control => control.checkVisibility() && !control.disabled)";
+        self.eval("document.activeElement.blur(); scrollTo(0, 0)");
+        let count = self.eval(&format!("{all}.length")).as_u64().expect("a number");
+        assert!(count >= 8, "{page}: {count}");
+        for _ in 0..count + 1 {
+            self.press("Tab");
+            assert_ne!(self.eval(mark), "0px", "{page}: {}", self.eval("document.activeElement.outerHTML"));
+        }
+        let missed =
+            format!("{all}.filter(control => !control.dataset.reached).map(control => control.outerHTML)");
+        assert_eq!(self.eval(&missed), json!([]), "{page}: Tab must reach each element");
+    }
+
+    /// Asserts that every control, picture and list in sight has a name of its own for a screen reader.
+    pub fn assert_all_have_names(&mut self, page: &str) {
+        const WITH_NAME: [&str; 12] = [
+            "button",
+            "switch",
+            "spinbutton",
+            "searchbox",
+            "textbox",
+            "checkbox",
+            "combobox",
+            "listbox",
+            "log",
+            "image",
+            "img",
+            "list",
+        ];
+        self.call("Accessibility.enable", &json!({}));
+        let controls = self.eval(
+            "[...document.querySelectorAll('button, input, select, textarea, svg, ul, ol')].filter(control => control.checkVisibility()).length",
+        );
+        let tree = self.call("Accessibility.getFullAXTree", &json!({}));
+        let mut names = Vec::new();
+        for node in tree["nodes"].as_array().expect("nodes") {
+            let role = node["role"]["value"].as_str().unwrap_or_default();
+            if node["ignored"] == false && WITH_NAME.contains(&role) {
+                let name = node["name"]["value"].as_str().unwrap_or_default();
+                assert!(!name.trim().is_empty(), "{page}: {node}");
+                names.push(format!("{role} {name}"));
+            }
+        }
+        assert_eq!(json!(names.len()), controls, "{page}: {names:#?}");
+        let count = names.len();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), count, "{page}: duplicate names: {names:#?}");
+    }
+
     /// Replaces the text of the focused field.
     pub fn type_text(&mut self, text: &str) {
         self.eval("document.activeElement.select()");
