@@ -90,6 +90,8 @@ impl Feed {
             for _ in 0..UPDATES_LEN {
                 next_update(gripper, 0)?;
             }
+            // The flags of earlier updates may be from before the homing, without which there is no width.
+            gripper.system_state()?;
             self.subscribe(gripper, AutoUpdate::every(self.period_ms));
         }
         let begun_at = Instant::now();
