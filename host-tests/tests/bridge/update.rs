@@ -533,6 +533,33 @@ fn new_image_confirms_itself_after_ten_seconds_or_the_previous_one_returns() {
 }
 
 #[test]
+fn confirmation_waits_for_moving_fingers() {
+    let mut rig =
+        Rig::of(Over::Service, World::homed(Rig::config(Over::Service), wsg_sim::Config::default()));
+    assert_eq!(rig.send(&signed(3 * SECTOR_LEN)), RECEIVED);
+    assert_eq!(rig.restart(), Ok(()));
+    rig.world.pass(1_100);
+    rig.reset();
+    rig.world.pass(9_000);
+    rig.world.pulse(Inputs::STOP_ACK);
+    assert!(rig.world.until(300, |outputs| outputs.contains(Outputs::READY)));
+    rig.world.set(Inputs::MOVE, true);
+    assert!(rig.world.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    rig.world.set(Inputs::MOVE, false);
+    let (before, mut moving_ms) = (rig.slot().flash.operations(), 0);
+    // Each look takes 2 ms.
+    while rig.outputs().contains(Outputs::BUSY) {
+        assert_eq!(rig.slot().flash.operations(), before);
+        moving_ms += 2;
+    }
+    assert!(moving_ms > 1_500, "the trial ends during the motion");
+    rig.world.pass(500);
+    assert!(rig.slot().flash.operations() > before);
+    rig.reset();
+    assert_eq!(rig.slot().running(), [1, 2, 3]);
+}
+
+#[test]
 fn missing_gripper_delays_the_restart_for_a_second() {
     let mut rig = Rig::of(Over::Service, World::new(Config::DEFAULT, quick()));
     rig.world.set_cut(true);
