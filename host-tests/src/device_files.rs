@@ -19,3 +19,6 @@ pub const VENDOR: &str = "Weiss Robotics GmbH & Co. KG";
 
 /// The EDS file in `docs` of the virtual gripper and the gateway on EtherNet/IP.
 pub const ETHERNETIP_EDS: &str = "wsg-ethernetip.eds";
+
+/// The folders with a GSD and a GSDML file: for readers, and for the page of `wsg-sim`.
+pub const FOLDERS: [&str; 2] = ["docs", "gripper-sim/src/server/control/device_files"];

@@ -1,4 +1,4 @@
-//! Checks that the modules of a crate do not import each other in a circle.
+//! Checks that the modules of a crate do not import each other in a circle, and that no crate includes files of another.
 //!
 //! Reads `use` declarations and inline paths that begin with `crate::` or `super::`, and follows re-exports to the module
 //! that defines the name. An import counts for every module around it too, so two siblings form a circle even if only
@@ -52,6 +52,44 @@ fn modules_of_every_crate_are_free_of_circles() {
     for circle in KNOWN {
         assert!(found.contains_key(*circle), "remove `{circle}` from KNOWN: the circle no longer exists");
     }
+}
+
+/// A package has only the files of its folder: on a registry, and in the source distribution for Python. The programs of this
+/// repository are in neither.
+#[test]
+fn packages_include_no_file_of_other_folders() {
+    let workspace = root();
+    let packages: Vec<PathBuf> = files("toml")
+        .iter()
+        .filter(|file| file.ends_with("Cargo.toml"))
+        .filter_map(|file| file.parent().map(Path::to_owned))
+        .filter(|folder| *folder != workspace)
+        .filter(|folder| !["host-tests", "xtask"].iter().any(|name| folder.starts_with(workspace.join(name))))
+        .collect();
+    let (mut found, mut count) = (Vec::new(), 0);
+    for file in files("rs") {
+        let around = packages.iter().filter(|folder| file.starts_with(folder.join("src")));
+        let Some(package) = around.max_by_key(|folder| folder.as_os_str().len()) else { continue };
+        let text = fs::read_to_string(&file).unwrap();
+        for included in text.split("include").skip(1) {
+            let path = ["_str!(\"", "_bytes!(\"", "!(\""].iter().find_map(|call| included.strip_prefix(call));
+            let Some((path, _)) = path.and_then(|path| path.split_once('"')) else { continue };
+            count += 1;
+            let mut whole = file.parent().unwrap().to_owned();
+            for part in path.split('/') {
+                if part == ".." {
+                    whole.pop()
+                } else {
+                    whole.push(part);
+                    true
+                };
+            }
+            if !whole.starts_with(package) {
+                found.push(format!("{}: {path}", file.display()));
+            }
+        }
+    }
+    assert!(count > 10 && found.is_empty(), "{count}: {found:?}");
 }
 
 /// Returns the circles of a crate that consists of these files.

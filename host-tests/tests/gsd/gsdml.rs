@@ -2,7 +2,7 @@
 
 use bus_profinet::{Gsdml, GsdmlFacts, Priority};
 use document::{hold, hold_file, read};
-use host_tests::device_files::{GSDML, GSDML_BITMAP, VENDOR};
+use host_tests::device_files::{FOLDERS, GSDML, GSDML_BITMAP, VENDOR};
 use roxmltree::{Document, Node};
 use wsg_fieldbus::profinet::PROFILE;
 use wsg_fieldbus::{InputImage, OutputImage};
@@ -25,7 +25,8 @@ fn path() -> String {
 
 #[test]
 fn gsdml_file_is_that_of_the_tables() {
-    hold_file(&path(), &Gsdml { facts: FACTS, profile: &PROFILE }.to_string());
+    let text = Gsdml { facts: FACTS, profile: &PROFILE }.to_string();
+    FOLDERS.iter().for_each(|folder| hold_file(&format!("{folder}/{GSDML}"), &text));
 }
 
 /// Returns the elements with this name.

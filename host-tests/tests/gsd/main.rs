@@ -7,7 +7,7 @@ mod gsdml;
 
 use bus_profibus::{Baud, Gsd, GsdFacts};
 use document::{hold_file, read, root};
-use host_tests::device_files::{GSD_BITMAPS, VENDOR};
+use host_tests::device_files::{FOLDERS, GSD, GSD_BITMAPS, VENDOR};
 use wsg_fieldbus::profibus::PROFILE;
 use wsg_fieldbus::{Diagnosis, InputImage, OutputImage};
 
@@ -46,7 +46,8 @@ fn facts<'a>(diagnosis_bits: &'a [(u16, &'static str)]) -> GsdFacts<'a> {
 #[test]
 fn gsd_file_is_that_of_the_tables() {
     let bits = diagnosis_bits();
-    hold_file(FILE, &Gsd { facts: facts(&bits), profile: &PROFILE }.to_string());
+    let text = Gsd { facts: facts(&bits), profile: &PROFILE }.to_string();
+    FOLDERS.iter().for_each(|folder| hold_file(&format!("{folder}/{GSD}"), &text));
 }
 
 /// Checks the catalogue path (fieldbus, 2.1), PROFIBUS DP -> Drives -> Weiss Robotics GmbH & Co. KG, and the bitmaps.
