@@ -98,6 +98,15 @@ pub struct Emulator {
     clock: Clock,
 }
 
+/// A failure of the power during an operation of the flash.
+#[derive(Clone, Copy, Debug)]
+pub struct Cut {
+    /// Number of operations before.
+    pub operations: u32,
+    /// Whether half of the operation takes effect; otherwise nothing of it does.
+    pub is_torn: bool,
+}
+
 /// Optional equipment of a board.
 #[derive(Debug, Default)]
 pub struct Extras<'a> {
@@ -114,8 +123,8 @@ pub struct Extras<'a> {
     pub can: Option<CanBus<Mcp2515>>,
     /// Pico: file that stores the flash. Without it the flash is volatile.
     pub flash: Option<&'a Path>,
-    /// Pico: number of operations of the flash until the power fails.
-    pub cut: Option<u32>,
+    /// Pico: a failure of the power.
+    pub cut: Option<Cut>,
     /// Pico: initial value of every byte of RAM, 0 by default.
     pub ram: Option<u8>,
     /// Pico: whether the watchdog resets the board. Otherwise the emulator ends instead.

@@ -42,6 +42,8 @@ class Flash {
         this.fail = fail;
         // Number of pages or sectors until the power fails; null for never.
         this.cut = null;
+        // Whether half of the last operation takes effect.
+        this.isTorn = false;
         this.file = file;
         if (file && fs.existsSync(file)) this.bytes.set(fs.readFileSync(file).subarray(0, LEN));
         for (const { address, bytes } of segments(image)) {
@@ -140,21 +142,23 @@ class Flash {
     erase(at, len) {
         if (!this.may("erase", at, len, SECTOR)) return;
         for (let sector = at; sector < at + len; sector += SECTOR) {
-            if (!this.begin(ERASE_NANOS)) return;
-            this.rp2040.flash.fill(0xff, sector, sector + SECTOR);
-            this.keep(sector, SECTOR);
+            const len = this.begin(ERASE_NANOS, SECTOR);
+            this.rp2040.flash.fill(0xff, sector, sector + len);
+            this.keep(sector, len);
+            if (len < SECTOR) return;
         }
     }
 
     program(at, from, len) {
         if (!this.may("program", at, len, PAGE)) return;
         for (let page = at; page < at + len; page += PAGE) {
-            if (!this.begin(PROGRAM_NANOS)) return;
-            for (let n = 0; n < PAGE; n++) {
+            const len = this.begin(PROGRAM_NANOS, PAGE);
+            for (let n = 0; n < len; n++) {
                 // Programming clears bits; only an erase sets them.
                 this.rp2040.flash[page + n] &= this.rp2040.readUint8(from + page - at + n);
             }
-            this.keep(page, PAGE);
+            this.keep(page, len);
+            if (len < PAGE) return;
         }
     }
 
@@ -165,14 +169,14 @@ class Flash {
         return false;
     }
 
-    // Returns whether the power lasts for another operation.
-    begin(nanos) {
+    // Returns how many bytes of an operation take effect: all, as long as the power lasts.
+    begin(nanos, len) {
         if (this.cut !== null && this.cut-- <= 0) {
             this.fail("the power was cut");
-            return false;
+            return this.isTorn && this.cut === -1 ? len / 2 : 0;
         }
         this.nanos += nanos;
-        return true;
+        return len;
     }
 
     keep(at, len) {

@@ -1,6 +1,6 @@
 // A Raspberry Pi Pico for the tests: rp2040js runs the image; this program models the chip's surroundings.
 //
-//   node main.js ELF --sockets FOLDER --outputs MASK [--flash FILE] [--can] [--reboot] [--ram BYTE] [--cut OPERATIONS]
+//   node main.js ELF --sockets FOLDER --outputs MASK [--flash FILE] [--can] [--reboot] [--ram BYTE] [--cut OPERATIONS [--torn]]
 //
 // Connects to these sockets in FOLDER: `control`, with one line per command, answer and event; `gripper` (UART0),
 // `bus` (UART1) and `service` (USB). With --can, an MCP2515 is on SPI0; its model communicates over standard input
@@ -34,6 +34,7 @@ const { values: options, positionals } = parseArgs({
         reboot: { type: "boolean", default: false },
         ram: { type: "string", default: "0" },
         cut: { type: "string" },
+        torn: { type: "boolean", default: false },
     },
 });
 
@@ -63,6 +64,7 @@ class Pico {
     constructor() {
         this.flash = new Flash(fs.readFileSync(positionals[0]), options.flash ?? null, (why) => this.end(why));
         if (options.cut) this.flash.cut = Number(options.cut);
+        this.flash.isTorn = options.torn;
         this.ended = null;
         this.inputs = 0;
         this.shown = 0;

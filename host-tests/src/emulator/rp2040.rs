@@ -16,7 +16,7 @@ use wsg_pico::{INPUTS, OUTPUTS, outputs_from_gpios};
 
 use super::sockets::Sockets;
 use super::watch::Watch;
-use super::{Chip, Extras, Lines, PATIENCE, lock};
+use super::{Chip, Cut, Extras, Lines, PATIENCE, lock};
 use crate::can_bus::CanBus;
 use crate::clock::Clock;
 use crate::example::Process;
@@ -122,8 +122,9 @@ impl Rp2040 {
         if let Some(byte) = extras.ram {
             command.args(["--ram", &byte.to_string()]);
         }
-        if let Some(operations) = extras.cut {
+        if let Some(Cut { operations, is_torn }) = extras.cut {
             command.args(["--cut", &operations.to_string()]);
+            command.args(is_torn.then_some("--torn"));
         }
         if extras.may_reset {
             command.arg("--reboot");
