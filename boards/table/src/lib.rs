@@ -83,6 +83,7 @@ wsg-bridge.elf       the same firmware for programming tools, such as STM32CubeP
             "ST",
             "ST-Link",
             "STM32CubeProgrammer",
+            "STM32_Programmer_CLI",
             "st-flash",
             "LD2",
             "Morpho",
