@@ -4,7 +4,7 @@ use std::fs;
 
 use anyhow::{Context, Result};
 
-use crate::{bench, commands, firmware::Image, gate::Gate, panics, setup::ThumbToolchain, size, stack};
+use crate::{bench, commands, firmware::Image, gate::Gate, panics, setup::ThumbToolchain, size, stack, web};
 
 const DOCUMENT: &str = "docs/figures.md";
 
@@ -12,6 +12,7 @@ const DOCUMENT: &str = "docs/figures.md";
 pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
     panics::check(toolchain)?;
     let mut gates = size::of_all(toolchain, images)?;
+    gates.push(web::size(&web::build(toolchain.workspace)?)?);
     gates.extend(stack::walked(images)?);
     gates.extend(stack::painted(toolchain.workspace, images)?);
     gates.extend(bench::counted(toolchain, false)?.gates);

@@ -11,7 +11,11 @@ use std::{
 use anyhow::{Context, Result, ensure};
 use flate2::{Compression, write::GzEncoder};
 
-use crate::{process, setup, workspace::Workspace};
+use crate::{
+    gate::{self, Gate},
+    process, setup,
+    workspace::Workspace,
+};
 
 pub(crate) const TRIPLE: &str = "wasm32-unknown-unknown";
 /// Folder of the files, in the build folder.
@@ -23,7 +27,7 @@ pub(crate) const TESTS: &str = "static_page";
 /// The page of `wsg-sim`, and the files of the pages without a server.
 const FOLDERS: [&str; 2] = ["gripper-sim/src/server/control/page", "web/page"];
 /// Limit for all files together, each compressed by gzip -9, in bytes.
-const MAX_COMPRESSED: usize = 150_000;
+const MAX_COMPRESSED: u64 = 150_000;
 /// What the page of the gripper may load: its own files.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; \
                       worker-src 'self'; img-src data:; base-uri 'none'; form-action 'none'";
@@ -55,9 +59,9 @@ pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
             let path = entry?.path();
             let (text, name) = (fs::read_to_string(&path)?, path.file_name().context("a file has a name")?);
             if source == FOLDERS[1] || !path.ends_with("index.html") {
-                fs::write(folder.join(name), shortened(&text))?;
+                fs::write(folder.join(name), shortened(&text)?)?;
             } else {
-                fs::write(folder.join("gripper.html"), shortened(&without_server(&text)?))?;
+                fs::write(folder.join("gripper.html"), shortened(&without_server(&text)?)?)?;
             }
         }
     }
@@ -66,8 +70,14 @@ pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
     let wasm = workspace.target_dir.join(TRIPLE).join("c-library/wsg_web.wasm");
     fs::copy(&wasm, folder.join("wsg.wasm")).with_context(|| format!("cannot copy {}", wasm.display()))?;
 
+    gate::check(&[size(&folder)?])?;
+    Ok(folder)
+}
+
+/// Prints the sizes of the files, and returns the limit for all.
+pub(crate) fn size(folder: &Path) -> Result<Gate> {
     let mut sizes = Vec::new();
-    for entry in fs::read_dir(&folder)? {
+    for entry in fs::read_dir(folder)? {
         let path = entry?.path();
         let bytes = fs::read(&path)?;
         let mut gzip = GzEncoder::new(Vec::new(), Compression::best());
@@ -79,9 +89,7 @@ pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
         println!("{compressed:7} of {size:7} bytes  {}", path.display());
     }
     let all: usize = sizes.iter().map(|(compressed, ..)| compressed).sum();
-    println!("{all:7} bytes compressed by gzip -9; at most {MAX_COMPRESSED}");
-    ensure!(all <= MAX_COMPRESSED, "the pages have {all} bytes, more than {MAX_COMPRESSED}");
-    Ok(folder)
+    Ok(Gate::bytes("pages for browsers, compressed by gzip -9", all as u64, MAX_COMPRESSED))
 }
 
 /// Adds the files to the book, whose page `try` embeds the gripper's page.
@@ -152,9 +160,14 @@ fn join_scripts(folder: &Path) -> Result<()> {
     Ok(fs::write(page, html.replace("</body>", "<script src=\"gripper.js\"></script>\n</body>"))?)
 }
 
-/// Returns a file without indentation, empty lines, and comments of a line. No file has a text of several lines.
-fn shortened(text: &str) -> String {
+/// Returns a file without indentation, empty lines, and comments of a line.
+///
+/// # Errors
+/// Returns an error if a text of JavaScript has several lines, which would lose their indentation.
+fn shortened(text: &str) -> Result<String> {
+    let open = text.lines().find(|line| !line.matches('`').count().is_multiple_of(2));
+    ensure!(open.is_none(), "a text of several lines begins here: {}", open.unwrap_or_default());
     let is_comment = |line: &str| line.starts_with("//") || line.starts_with("/*") && line.ends_with("*/");
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !is_comment(line));
-    lines.flat_map(|line| [line, "\n"]).collect()
+    Ok(lines.flat_map(|line| [line, "\n"]).collect())
 }

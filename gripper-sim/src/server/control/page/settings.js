@@ -1,7 +1,7 @@
 "use strict";
 // Settings: the table of the server, one field for each row.
 let settings = [], settingsRevision = 0, isApplying = false;
-const plain = text => text.replace(/`/g, "").replace(/ ?\(\[[^\]]*\]\([^)]*\)\)|; \[[^\]]*\]\([^)]*\) has the figures/g, "");
+const plain = text => text.replaceAll("\x60", "").replace(/ ?\(\[[^\]]*\]\([^)]*\)\)|; \[[^\]]*\]\([^)]*\) has the figures/g, "");
 const ACRONYMS = { tcp: "TCP", udp: "UDP", gcl: "GCL", can: "CAN", slcan: "SLCAN", profibus: "PROFIBUS", profinet: "PROFINET", ethernetip: "EtherNet/IP", ip: "IP", im: "I&M" };
 const title = name => {
   const words = name.split("-").map(word => ACRONYMS[word] || word).join(" ");
