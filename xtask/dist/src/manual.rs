@@ -8,6 +8,7 @@
 use std::{collections::BTreeMap, fmt::Write as _, fs};
 
 use anyhow::{Context, Result, bail, ensure};
+use base64::{Engine, engine::general_purpose::STANDARD};
 use boards::Board;
 use document::{anchor_of, root};
 use host_tests::board_wiring::BoardWiring;
@@ -231,9 +232,13 @@ impl Chapter<'_> {
         Ok(Target::Elsewhere)
     }
 
-    /// Returns a drawing as a data URL.
+    /// Returns a drawing or a screenshot as a data URL.
     fn picture(&self, file: &str) -> Result<String> {
-        ensure!(file.ends_with(".svg"), "{file} is not an SVG drawing");
+        if file.ends_with(".png") {
+            let bytes = fs::read(root().join("docs").join(file)).with_context(|| format!("docs/{file}"))?;
+            return Ok(format!("data:image/png;base64,{}", STANDARD.encode(bytes)));
+        }
+        ensure!(file.ends_with(".svg"), "{file} is neither an SVG drawing nor a PNG picture");
         let drawing = if file == WIRING {
             self.wiring.picture()
         } else {
