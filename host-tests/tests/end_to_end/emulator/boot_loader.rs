@@ -373,21 +373,19 @@ fn power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image(board: Board
         let double_words = (0..512).flat_map(|index| pages.bits(page, index).to_le_bytes());
         flash[at..][..4096].copy_from_slice(&double_words.collect::<Vec<_>>());
     }
-    // Starts the board, and returns whether the new image runs, if one does.
-    let start = |cut| {
-        let emulator = plant.start_pico(file, cut).ok()?;
-        Some(emulator.outputs().contains(Outputs::READY))
-    };
+    // Starts the board, and returns whether the new image runs. Fails if none does.
+    let start = |cut| plant.start_pico(file, cut).map(|emulator| emulator.outputs().contains(Outputs::READY));
     for (image, is_new) in [(&plant.new, true), (&plant.old, false)] {
         let mut operations = 0;
         for number in (0..).step_by(extent::step(29)) {
             fs::write(file, &flash).unwrap();
-            let is_torn = number / extent::step(29) as u32 % 2 == 1;
-            if start(Some(Cut { operations: number, is_torn })).is_some() {
+            let cut = Cut { operations: number, is_torn: number / extent::step(29) as u32 % 2 == 1 };
+            if start(Some(cut)).is_ok() {
                 break;
             }
-            assert_eq!(start(None), Some(is_new), "power cut at operation {number}, torn: {is_torn}");
-            assert!(plant.slot_a().starts_with(image), "power cut at operation {number}, torn: {is_torn}");
+            let runs = start(None).unwrap_or_else(|why| panic!("no image runs after {cut:?}: {why:#}"));
+            assert_eq!(runs, is_new, "{cut:?}");
+            assert!(plant.slot_a().starts_with(image), "{cut:?}");
             operations = number + 1;
         }
         println!("{operations} operations");
