@@ -33,10 +33,10 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
                       worker-src 'self'; img-src data:; base-uri 'none'; form-action 'none'";
 /// The line of the page that offers device files, of which a gripper without a bus has no use.
 const DEVICE_FILES: &str = "<p class=\"files\">";
-/// Where the page `try` of the book has the gripper's page. The PDF has a picture alone.
+/// Where the page `try` of the book has the station. The PDF has a picture alone.
 const PLACE: &str = "<!-- the page -->";
 const EMBEDDED: &str = "<p><a href=\"web/index.html\">Open it in a window of its own</a></p>\n\
-    <iframe src=\"web/gripper.html\" title=\"the virtual gripper\" style=\"width:100%;height:60em;border:0\"></iframe>";
+    <iframe src=\"web/station.html\" title=\"the station\" style=\"width:100%;height:60em;border:0\"></iframe>";
 const HEAD: &str = "<meta charset=\"utf-8\">";
 
 /// Builds the files, and checks their size. Returns the folder.
@@ -92,7 +92,7 @@ pub(crate) fn size(folder: &Path) -> Result<Gate> {
     Ok(Gate::bytes("pages for browsers, compressed by gzip -9", all as u64, MAX_COMPRESSED))
 }
 
-/// Adds the files to the book, whose page `try` embeds the gripper's page.
+/// Adds the files to the book, whose page `try` embeds the station.
 pub(crate) fn add_to_book(workspace: &Workspace) -> Result<()> {
     let book = workspace.target_dir.join("book");
     let folder = book.join(FOLDER);
