@@ -44,6 +44,9 @@ struct State {
     /// Which values are new since the last reading.
     fresh: [bool; 3],
     has_begun: bool,
+    /// Whether the fingers were referenced at the last update that was taken. Unknown while the known flags may be from before the
+    /// homing.
+    is_referenced: Option<bool>,
     /// Time without a reading.
     silent: Duration,
     stage: Stage,
@@ -66,6 +69,7 @@ impl Feed {
             newest: None,
             fresh: [false; 3],
             has_begun: false,
+            is_referenced: None,
             silent: Duration::ZERO,
             stage: Stage::Running,
             failure: None,
@@ -90,18 +94,23 @@ impl Feed {
             for _ in 0..UPDATES_LEN {
                 next_update(gripper, 0)?;
             }
-            // The flags of earlier updates may be from before the homing, without which there is no width.
-            gripper.system_state()?;
             self.subscribe(gripper, AutoUpdate::every(self.period_ms));
+            let flags = gripper.known().flags;
+            self.lock().is_referenced = flags.map(is_referenced).filter(|is_referenced| *is_referenced);
         }
         let begun_at = Instant::now();
-        let mut fresh = self.lock().fresh;
+        let (mut fresh, mut was_referenced) = {
+            let state = self.lock();
+            (state.fresh, state.is_referenced)
+        };
         let mut received = 0;
         while received < MAX_UPDATES {
             match next_update(gripper, if received == 0 { WAIT_MS } else { 0 })? {
-                Some(Update::Width(_)) => fresh[0] = true,
+                // There is no width before homing.
+                Some(Update::Width(_)) => fresh[0] = was_referenced == Some(true),
                 Some(Update::Speed(_)) => fresh[1] = true,
                 Some(Update::Force(_)) => fresh[2] = true,
+                Some(Update::SystemState(flags)) => was_referenced = Some(is_referenced(flags)),
                 Some(_) => {}
                 None => break,
             }
@@ -111,16 +120,17 @@ impl Feed {
         let (true, Some(flags), Some(state)) = (gripper.is_connected(), known.flags, known.state) else {
             return Err(Error::NotConnected);
         };
-        // There is no width before homing, and the gripper sends none.
         let [width, speed, force] = self.wanted;
-        let required = [width && flags.contains(SystemFlags::REFERENCED), speed, force];
+        let required = [width && was_referenced == Some(true), speed, force];
         let ages = TOPICS.into_iter().zip(required).filter(|(_, is_required)| *is_required);
         let age_ms = ages.filter_map(|(topic, _)| gripper.age_ms(topic)).max().unwrap_or(0);
         let mut shared = self.lock();
-        shared.fresh = fresh;
+        (shared.fresh, shared.is_referenced) = (fresh, was_referenced);
         // A pause of this program is no silence of the gripper.
         shared.silent += begun_at.elapsed().min(Duration::from_millis(WAIT_MS.into()));
-        if required.iter().zip(fresh).all(|(is_required, is_fresh)| is_fresh || !is_required) {
+        let are_fresh = required.iter().zip(fresh).all(|(is_required, is_fresh)| is_fresh || !is_required);
+        // The driver polls the flags twice a second.
+        if are_fresh && (!width || was_referenced == Some(is_referenced(flags))) {
             let values = [known.width, known.speed, known.force];
             let value = |place: usize| values[place].filter(|_| required[place]).map(shortest);
             let received = unix_now() - f64::from(age_ms) / 1e3;
@@ -184,6 +194,10 @@ impl Feed {
         let waited = self.changed.wait_timeout_while(self.lock(), within, is_idle);
         drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
+}
+
+const fn is_referenced(flags: SystemFlags) -> bool {
+    flags.contains(SystemFlags::REFERENCED)
 }
 
 /// Returns the next update. A stop of this program ends motions, not the updates.
