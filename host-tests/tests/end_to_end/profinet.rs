@@ -125,9 +125,9 @@ impl Capture {
     pub(crate) fn start(mut tshark: Command, file: PathBuf) -> Self {
         tshark.args(["-F", "pcap", "-w"]).arg(&file);
         let mut child = tshark.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-        // tshark reports the start of the capture.
+        // tshark names the interface before the capture starts.
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-        let begun = lines.by_ref().map(Result::unwrap).any(|line| line.starts_with("Capturing on"));
+        let begun = lines.by_ref().map(Result::unwrap).any(|line| line.ends_with("Capture started."));
         assert!(begun, "tshark ended before it started the capture");
         thread::spawn(move || lines.for_each(drop));
         Self { child, file }
