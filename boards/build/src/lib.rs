@@ -7,8 +7,7 @@ use std::path::PathBuf;
 pub fn pass_layout() {
     println!("cargo:rerun-if-changed=build.rs");
     let has = |feature| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
-    // Cargo runs a build script in the folder of its package.
-    let board = env::current_dir().unwrap_or_else(|_| PathBuf::from("."));
+    let board = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("Cargo names the package's folder"));
     for (feature, folder) in [("BOOT", "boot"), ("SLOT", "slot")] {
         if has(feature) {
             let memory = board.join(folder);
