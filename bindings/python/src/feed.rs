@@ -44,8 +44,7 @@ struct State {
     /// Which values are new since the last reading.
     fresh: [bool; 3],
     has_begun: bool,
-    /// Whether the fingers were referenced at the last update that was taken. Unknown while the known flags may be from before the
-    /// homing.
+    /// Whether the fingers were referenced at the last update of the flags; unknown before the first one.
     is_referenced: Option<bool>,
     /// Time without a reading.
     silent: Duration,
@@ -95,8 +94,9 @@ impl Feed {
                 next_update(gripper, 0)?;
             }
             self.subscribe(gripper, AutoUpdate::every(self.period_ms));
-            let flags = gripper.known().flags;
-            self.lock().is_referenced = flags.map(is_referenced).filter(|is_referenced| *is_referenced);
+            // Flags that do not show referenced fingers may be from before the homing.
+            self.lock().is_referenced =
+                gripper.known().flags.filter(|flags| is_referenced(*flags)).map(|_| true);
         }
         let begun_at = Instant::now();
         let (mut fresh, mut was_referenced) = {
@@ -110,7 +110,10 @@ impl Feed {
                 Some(Update::Width(_)) => fresh[0] = was_referenced == Some(true),
                 Some(Update::Speed(_)) => fresh[1] = true,
                 Some(Update::Force(_)) => fresh[2] = true,
-                Some(Update::SystemState(flags)) => was_referenced = Some(is_referenced(flags)),
+                Some(Update::SystemState(flags)) => {
+                    was_referenced = Some(is_referenced(flags));
+                    fresh[0] &= is_referenced(flags);
+                }
                 Some(_) => {}
                 None => break,
             }
