@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver, Transport};
 use wsg_protocol::driver::host::{self, StdClock, Tcp, Udp};
 use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, N, OnBlock, Protocol, StopKind, Stoppable};
-use wsg_protocol::{Command, CommandId, FrameEncoder, FrameParser, HomingDirection, SystemFlags};
+use wsg_protocol::{Command, CommandId, FrameEncoder, FrameParser, HomingDirection, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
@@ -42,22 +42,25 @@ fn on_gcl() -> (ServerThread, SocketAddr) {
     (server, address)
 }
 
-/// Runs the same grip cycle over any transport and protocol, again if a busy machine answers late.
+/// Returns a driver with a longer time-out than usual, because a busy machine may pause it or the gripper.
+fn patient<IO: Transport>(line: IO) -> Gripper<IO, StdClock> {
+    let session = session::Config { reply_timeout_ms: 10_000, ..driver::Config::DEFAULT.session };
+    Gripper::with_config(line, StdClock::new(), driver::Config { session, ..driver::Config::DEFAULT })
+}
+
+/// Runs the same grip cycle over any transport and protocol.
 fn grips<IO, C, P>(gripper: &mut GripperOver<IO, C, P>)
 where
     IO: Transport<Error = io::Error>,
     C: Clock,
     P: Protocol,
 {
-    let mut cycle = || {
-        gripper.with_connection(|gripper| {
-            gripper.home(HomingDirection::Default)?;
-            gripper.set_force_limit(N(40.0))?;
-            gripper.grip(Mm(20.0), MmPerS(400.0))
-        })
-    };
-    let grip = (0..5).map(|_| cycle()).find(|grip| !matches!(grip, Err(Error::Unanswered)));
-    assert_eq!(grip.expect("the gripper answers").unwrap(), Grip::Held);
+    let grip = gripper.with_connection(|gripper| {
+        gripper.home(HomingDirection::Default)?;
+        gripper.set_force_limit(N(40.0))?;
+        gripper.grip(Mm(20.0), MmPerS(400.0))
+    });
+    assert_eq!(grip.unwrap(), Grip::Held);
 }
 
 #[test]
@@ -675,7 +678,7 @@ mod on_unix {
         let server = serve(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() });
         let path = server.serial_path().unwrap().to_str().unwrap().to_owned();
         let port = serialport::new(path, 115_200).timeout(Duration::from_millis(1)).open().unwrap();
-        grips(&mut Gripper::new(host::Stream::new(port), StdClock::new()));
+        grips(&mut patient(host::Stream::new(port)));
     }
 
     fn unix_socket(name: &str) -> (ServerThread, std::os::unix::net::UnixStream) {
@@ -743,9 +746,9 @@ mod on_unix {
     #[test]
     fn blocking_driver_grips_despite_interrupted_and_short_io() {
         let (_server, stream) = unix_socket("reluctant");
-        grips(&mut Gripper::new(host::PolledStream::new(Reluctant::new(stream)), StdClock::new()));
+        grips(&mut patient(host::PolledStream::new(Reluctant::new(stream))));
         let (_server, stream) = unix_socket("reluctant-read");
-        grips(&mut Gripper::new(host::Stream::new(Reluctant::new(stream)), StdClock::new()));
+        grips(&mut patient(host::Stream::new(Reluctant::new(stream))));
     }
 
     /// Runs a program in this thread while another thread interrupts it with signals.
@@ -785,11 +788,11 @@ mod on_unix {
         let (_unix_server, stream) = unix_socket("signals");
         let (_other_unix_server, other_stream) = unix_socket("signals-read");
         under_signals(|| {
-            grips(&mut Gripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
+            grips(&mut patient(Tcp::connect(address).unwrap()));
             let line = Udp::new(socket, udp_server.udp_address().unwrap()).unwrap();
-            grips(&mut Gripper::new(line, StdClock::new()));
-            grips(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
-            grips(&mut Gripper::new(host::Stream::new(other_stream), StdClock::new()));
+            grips(&mut patient(line));
+            grips(&mut patient(host::PolledStream::new(stream)));
+            grips(&mut patient(host::Stream::new(other_stream)));
         });
     }
 
