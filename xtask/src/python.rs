@@ -64,8 +64,8 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
     try_sdist(workspace, environment)
 }
 
-/// Builds the source distribution and returns its path. It has all packages of this workspace that the tests need, too.
-fn sdist(workspace: &Workspace, environment: &Path) -> Result<PathBuf> {
+/// Packs the source distribution and returns its path. It has all packages of this workspace that the tests need, too.
+pub(crate) fn sdist(workspace: &Workspace, environment: &Path) -> Result<PathBuf> {
     let out = emptied(workspace, "sdist")?;
     process::run(maturin(workspace, environment, &[])?.args(["sdist", "--out"]).arg(&out))?;
     only_file(&out)
@@ -118,7 +118,7 @@ pub(crate) fn install_wheel(environment: &Path, wheel: &Path) -> Result<()> {
     process::run(pip.args(INSTALL.split_whitespace()).arg(wheel))
 }
 
-/// Runs the tests of the installed package, and of the plugin for LeRobot from its source distribution. Builds the package's own.
+/// Runs the tests of the installed package, and of the plugin for LeRobot from its source distribution.
 pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
     let bin = environment.join("bin");
     let path = env::join_paths([bin.as_path(), Path::new("/usr/bin"), Path::new("/bin")])?;
@@ -135,8 +135,7 @@ pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
     let build = format!("from flit_core.buildapi import build_sdist; build_sdist({out:?})");
     process::run(python(LEROBOT_PLUGIN, "-c").arg(build))?;
     process::run(python(LEROBOT_PLUGIN, INSTALL).arg(only_file(&out)?))?;
-    process::run(&mut python(LEROBOT_PLUGIN, "-m pytest -q -p no:cacheprovider -n 4 tests"))?;
-    sdist(workspace, environment).map(drop)
+    process::run(&mut python(LEROBOT_PLUGIN, "-m pytest -q -p no:cacheprovider -n 4 tests"))
 }
 
 /// Builds a wheel and returns its path.

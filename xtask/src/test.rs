@@ -179,7 +179,8 @@ impl Checks<'_> {
         let workspace = self.toolchain.workspace;
         match python {
             Some(environment) => record.check("Python package", || {
-                disturb::during(self.disturbed, || python::test(workspace, environment))
+                disturb::during(self.disturbed, || python::test(workspace, environment))?;
+                python::sdist(workspace, environment).map(drop)
             })?,
             None => record.not_checked("Python package and the tests with it (its tools are not installed)"),
         }
