@@ -235,8 +235,12 @@ fn keyboard_reaches_everything_on_the_static_page_and_all_has_a_name_in_chromium
     let mut tab = Tab::open(&site.address("station.html"));
     tab.until(&step(1));
     tab.eval("[...document.querySelectorAll('details')].forEach(details => { details.open = true; })");
+    // A station that is paused can be stepped.
+    tab.click("#run");
+    tab.until("document.getElementById('run').textContent === 'Run'");
     tab.assert_all_have_names("station");
     tab.assert_tab_reaches_all("station");
+    tab.click("#run");
     tab.eval("document.getElementById('FAST_STOP_OK').focus()");
     tab.press("Enter");
     tab.until("document.getElementById('FAST_STOP_OK').ariaChecked === 'true'");

@@ -326,7 +326,8 @@ fn keyboard_alone_reaches_and_operates_everything() {
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn every_control_has_a_name_for_a_screen_reader() {
-    let mut tab = Gripper::new(&[]).open();
+    let gripper = Gripper::new(&[]);
+    let mut tab = gripper.open();
     for page in PAGES {
         tab.show(page);
         tab.assert_all_have_names(page);

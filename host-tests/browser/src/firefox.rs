@@ -1,6 +1,6 @@
 //! Firefox for the tests that use only what every browser offers. WebDriver BiDi controls it over a WebSocket.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
@@ -29,19 +29,23 @@ rm -rf "$profile"
 const LISTENING: &str = "WebDriver BiDi listening on ";
 
 thread_local! {
+    static IS_USED: Cell<bool> = const { Cell::new(false) };
     static FIREFOX: RefCell<Option<Firefox>> = const { RefCell::new(None) };
 }
 
-/// Opens the windows of this thread in Firefox from now on.
+/// Opens the windows of this thread in Firefox from now on. It starts with the first one.
 pub fn use_firefox() {
-    FIREFOX.with_borrow_mut(|firefox| {
-        firefox.get_or_insert_with(Firefox::start);
-    });
+    IS_USED.set(true);
 }
 
-/// Calls the Firefox of this thread, if it has one.
-pub(crate) fn with<R>(use_it: impl FnOnce(&mut Firefox) -> R) -> Option<R> {
-    FIREFOX.with_borrow_mut(|firefox| firefox.as_mut().map(use_it))
+/// Returns whether this thread opens its windows in Firefox.
+pub(crate) fn is_used() -> bool {
+    IS_USED.get()
+}
+
+/// Calls the Firefox of this thread.
+pub(crate) fn with<R>(use_it: impl FnOnce(&mut Firefox) -> R) -> R {
+    FIREFOX.with_borrow_mut(|firefox| use_it(firefox.get_or_insert_with(Firefox::start)))
 }
 
 pub(crate) struct Firefox {

@@ -81,7 +81,8 @@ fn page_without_a_server_passes_the_tests_of_the_page() {
 fn page_without_a_server_passes_the_tests_of_the_page_in_firefox() {
     browser::use_firefox();
     run_without_server(&[""]);
-    let mut tab = Gripper::new(&[]).open();
+    let gripper = Gripper::new(&[]);
+    let mut tab = gripper.open();
     tab_to(&mut tab, "home");
     tab.press("Enter");
     tab.until(&flag_is_on("REFERENCED"));
@@ -100,7 +101,8 @@ fn run_without_server(obstacles: &[&str]) {
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn scripts_and_lines_say_that_they_need_the_program() {
     IN_BROWSER.set(true);
-    let mut tab = Gripper::new(&[]).open();
+    let gripper = Gripper::new(&[]);
+    let mut tab = gripper.open();
     tab.until("document.getElementById('script-message').textContent.startsWith('Lua scripts need the program wsg-sim')");
     tab.show("settings");
     tab.fill("#set-tcp", "127.0.0.1:1000");
@@ -119,7 +121,8 @@ fn scripts_and_lines_say_that_they_need_the_program() {
 fn hidden_page_stands_still_and_keeps_its_state() {
     IN_BROWSER.set(true);
     // The fingers home for minutes.
-    let mut tab = Gripper::new(&["--time-scale", "0.01"]).open();
+    let gripper = Gripper::new(&["--time-scale", "0.01"]);
+    let mut tab = gripper.open();
     tab.click("#home");
     tab.until(&format!("{STATE} === 'POSITIONING'"));
     let hide = |hidden: bool| {
