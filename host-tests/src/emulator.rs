@@ -117,6 +117,8 @@ pub struct Extras<'a> {
     pub models: Vec<Box<dyn RegisterModel>>,
     /// Additional QEMU arguments.
     pub qemu_arguments: &'a [&'a str],
+    /// QEMU: the program that a boot loader starts, for its symbols.
+    pub symbols: Option<&'a Path>,
     /// QEMU: time until the firmware runs, if that may take longer than usual.
     pub patience: Duration,
     /// Pico: the CAN bus of its MCP2515. Without it no chip is on the SPI.

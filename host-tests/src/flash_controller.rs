@@ -81,6 +81,7 @@ const PAGE_BYTES: u32 = 8 * PAGE_LEN as u32;
 
 /// Numbers of pages: records, with the settings' last, then slot A, then slot B.
 const RECORDS: usize = 6;
+const BOOT_STATE: usize = 2;
 const SETTINGS: usize = 4;
 const IN_SLOT_A: usize = wsg_update::SLOT_LEN as usize / (8 * PAGE_LEN);
 const SLOT_B_AT: usize = RECORDS + IN_SLOT_A;
@@ -265,25 +266,43 @@ impl FlashController {
         })))
     }
 
-    /// Creates flash with slots, of which A has this content and B is erased.
+    /// Creates flash with slots. They and the pages of the boot loader's state begin with these contents.
     ///
     /// # Panics
-    /// Panics when the content exceeds the slot.
+    /// Panics when a content exceeds the flash.
     #[must_use]
-    pub fn with_slots(layout: &'static Layout, a: &[u8]) -> Self {
+    pub fn with_slots(layout: &'static Layout, a: &[u8], b: &[u8], boot_state: &[u8]) -> Self {
         let flash = Self::new(layout);
-        flash.lock().has_slots = true;
-        for (number, bytes) in a.chunks(8).enumerate() {
-            let mut double_word = [0xFF; 8];
-            double_word[..bytes.len()].copy_from_slice(bytes);
-            let operation = Operation::Program(
-                RECORDS + number / PAGE_LEN,
-                number % PAGE_LEN,
-                u64::from_le_bytes(double_word),
-            );
-            flash.lock().pages.apply(operation).expect("the slot is erased");
+        let mut state = flash.lock();
+        state.has_slots = true;
+        for (first, content) in [(RECORDS, a), (SLOT_B_AT, b), (BOOT_STATE, boot_state)] {
+            for (number, bytes) in content.chunks(8).enumerate() {
+                let mut double_word = [0xFF; 8];
+                double_word[..bytes.len()].copy_from_slice(bytes);
+                let (page, index) = (first + number / PAGE_LEN, number % PAGE_LEN);
+                let operation = Operation::Program(page, index, u64::from_le_bytes(double_word));
+                // Erased double words remain programmable.
+                if double_word != [0xFF; 8] {
+                    state.pages.apply(operation).expect("the flash is erased");
+                }
+            }
         }
+        drop(state);
         flash
+    }
+
+    /// Returns other flash with the same content, after power-on.
+    #[must_use]
+    pub fn copy(&self) -> Self {
+        let copy = Self::new(self.lock().layout);
+        let (pages, has_slots) = {
+            let state = self.lock();
+            (state.pages.clone(), state.has_slots)
+        };
+        let mut state = copy.lock();
+        (state.pages, state.has_slots) = (pages, has_slots);
+        drop(state);
+        copy
     }
 
     /// Returns the addresses and the contents of both slots.
@@ -373,7 +392,8 @@ impl FlashController {
     }
 
     /// Cuts the power during the operation number `count` from now, counted from 0, with the effect `tear` on its
-    /// double words. The board continues until it is dropped and finds the flash busy.
+    /// double words. The board continues until it is dropped and finds the flash busy; with slots, its next access to the flash
+    /// ends it, because a boot loader waits for its watchdog.
     pub fn cut(&self, count: u32, tear: Tear) {
         let state = &mut *self.lock();
         state.cut = Some((state.operations + count, tear));
@@ -727,6 +747,7 @@ impl Powered {
     fn state(&self) -> Result<MutexGuard<'_, State>> {
         let state = self.flash.lock();
         ensure!(state.power_cycles == self.power_cycles, "the flash has been power-cycled");
+        ensure!(!(state.is_off && state.has_slots), "the power was cut");
         Ok(state)
     }
 }

@@ -63,7 +63,7 @@ impl Qemu {
                 && !extras.may_reset,
             "the image runs in QEMU, but the extras are for the Pico"
         );
-        let (board, clock_address) = StmBoard::of(elf);
+        let (board, clock_address) = StmBoard::of(extras.symbols.unwrap_or(elf));
         if board.reads_acr && !extras.models.iter().any(|model| model.addresses().contains(&FLASH)) {
             extras.models.push(FlashController::new(&board.flash).access_control());
         }

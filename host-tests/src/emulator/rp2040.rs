@@ -97,7 +97,10 @@ impl Rp2040 {
         clock: &Clock,
     ) -> Result<(Self, Lines)> {
         ensure!(
-            extras.models.is_empty() && extras.semihosting.is_none() && extras.qemu_arguments.is_empty(),
+            extras.models.is_empty()
+                && extras.semihosting.is_none()
+                && extras.symbols.is_none()
+                && extras.qemu_arguments.is_empty(),
             "the image runs on the Pico, but the extras are for QEMU"
         );
         let Some(packages) = std::env::var_os(NODE_VARIABLE) else {
