@@ -292,6 +292,34 @@ fn damaged_slot_a_is_replaced_by_an_intact_slot_b_and_nothing_else_starts() {
     }
 }
 
+/// A drive writes slot A alone, at any point of an exchange or a return. Another image may run afterwards, until the installation is
+/// repeated.
+#[test]
+fn repeated_installation_over_the_drive_ends_an_update_at_any_point() {
+    const THIRD: u8 = 3;
+    let [old, new, third] = [OLD, NEW, THIRD].map(|version| image(manifest(version, 5), 3_000, 1));
+    let board = Board::<2048, 8>::new(&old);
+    board.install(&new);
+    let points = Rc::new(Cell::new(0));
+    let (count, files) = (Rc::clone(&points), [old.clone(), new.clone(), third.clone()]);
+    board.0.observe(Some(Rc::new(move |_, after, page, _| {
+        add(&count);
+        // All operations of the records, and some of the data.
+        if page < 2 * SLOT + 1 && !count.get().is_multiple_of(5) {
+            return;
+        }
+        let board = Board::<2048, 8>(SlotFlash::with(after.clone(), SLOT));
+        let install = || write(&mut board.0.parts().a, &files[2]);
+        install();
+        let _ = board.start(&files.each_ref().map(Vec::as_slice));
+        install();
+        assert_eq!(board.start(&[&files[2]]), Ok(THIRD), "operation {}", count.get());
+    })));
+    assert_eq!(board.start(&[&new]), Ok(NEW));
+    assert_eq!(board.start(&[&old]), Ok(OLD));
+    assert!(points.get() > 1_000, "{} operations", points.get());
+}
+
 #[test]
 fn named_successor_signs_from_the_confirmation_on_and_no_earlier() {
     let [second, third] = [2, 3].map(|seed| image(manifest(NEW, 5), 2_000, seed));
