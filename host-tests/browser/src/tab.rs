@@ -456,9 +456,14 @@ impl Tab {
         self.call("Input.insertText", &json!({"text": text}));
     }
 
-    /// Clicks the field that a selector finds, and replaces its text.
+    /// Clicks the field that a selector finds, and replaces its text. A click that misses is repeated, as in [`show`](Self::show).
     pub fn fill(&mut self, field: &str, text: &str) {
-        self.click(field);
+        let is_focused = format!("document.activeElement === document.querySelector({field:?})");
+        let focused = (0..5).any(|_| {
+            self.click(field);
+            self.eval(&is_focused) == true
+        });
+        assert!(focused, "{field} does not get the focus");
         self.type_text(text);
     }
 
