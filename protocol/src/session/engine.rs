@@ -34,8 +34,8 @@ enum Link {
     Down { retry_at: Option<Instant> },
     /// Step `step` of [`Dialect::setup`] is in progress.
     Connecting { step: u8 },
-    /// All setup steps are complete.
-    Up,
+    /// All setup steps are complete. The next refresh is this step, at this time.
+    Up { refresh_at: Instant, refresh_step: u8 },
     /// The connection is closing; open requests are reported first.
     Closing { farewell: bool },
     /// The gripper confirmed a farewell: nothing more is sent.
@@ -49,6 +49,17 @@ struct Running<N> {
     begun: Instant,
     /// For a motion: the time since which the gripper has reported standstill.
     still_since: Option<Instant>,
+}
+
+/// Confirmation of the known settings by queries.
+#[derive(Clone, Copy, Debug, Hash)]
+enum Upkeep {
+    /// No setting is known.
+    Idle,
+    /// The query that confirmed the settings was opened at this time. The next one is due after half of their lifetime.
+    Confirmed(Instant),
+    /// The next query was opened, too.
+    Queried { confirmed: Instant, opened: Instant },
 }
 
 /// Maximum number of concurrent commands: one motion, and switching on the supply of each finger.
@@ -68,8 +79,8 @@ pub struct Engine<D: Dialect> {
     request: Transaction<D::Request>,
     /// The session's own request: a setup step or the poll of a value.
     refresh: Transaction<D::Request>,
-    /// The setting being read back, while `request` is the query.
-    reading_back: Option<D::Request>,
+    /// The setting being read back, while `request` is the query, and when that was opened.
+    reading_back: Option<(D::Request, Instant)>,
     /// Requests that wait for the current one to be answered.
     queue: Queue<Request<D::Request>, QUEUE_CAPACITY>,
     /// Requests overtaken by a Stop, FAST STOP or Acknowledge.
@@ -84,17 +95,9 @@ pub struct Engine<D: Dialect> {
     running: [Option<Running<NameOf<D>>>; RUNNING_LEN],
     /// A command whose result timed out and may still arrive.
     given_up: Option<NameOf<D>>,
-    /// Time and step of the next refresh.
-    refresh_at: Instant,
-    refresh_step: u8,
     subscriptions: D::Subscriptions,
     known: D::Known,
-    /// Time at which the query was opened that last confirmed the known settings.
-    confirmed: Instant,
-    /// Time at which the current upkeep query was opened.
-    upkeep_opened: Instant,
-    /// Time at which the next upkeep query is due or times out; none while no setting is known.
-    upkeep_at: Option<Instant>,
+    upkeep: Upkeep,
     counters: SessionCounters,
     /// Whether a request that must not be repeated may be answered as late as one that is.
     #[cfg(feature = "std")]
@@ -138,13 +141,9 @@ impl<D: Dialect> Engine<D> {
             dropped: None,
             running: [const { None }; RUNNING_LEN],
             given_up: None,
-            refresh_at: Instant::from_millis(0),
-            refresh_step: 0,
             subscriptions,
             known: D::NOTHING,
-            confirmed: Instant::from_millis(0),
-            upkeep_opened: Instant::from_millis(0),
-            upkeep_at: None,
+            upkeep: Upkeep::Idle,
             counters: SessionCounters { unsolicited: 0, refused: 0, repeated: 0, disconnects: 0 },
             #[cfg(feature = "std")]
             tolerates_late_answers: false,
@@ -154,7 +153,7 @@ impl<D: Dialect> Engine<D> {
     /// Returns whether the gripper is connected: it replies and all setup steps are complete.
     #[must_use]
     pub const fn is_connected(&self) -> bool {
-        matches!(self.link, Link::Up)
+        matches!(self.link, Link::Up { .. })
     }
 
     /// Returns the known state of the gripper, which is empty without a connection.
@@ -296,7 +295,7 @@ impl<D: Dialect> Engine<D> {
     pub fn disconnect(&mut self) {
         self.fast_stop.send_again();
         match self.link {
-            Link::Up | Link::Closing { .. } => self.link = Link::Closing { farewell: false },
+            Link::Up { .. } | Link::Closing { .. } => self.link = Link::Closing { farewell: false },
             Link::Down { .. } | Link::Connecting { .. } | Link::Ended => {
                 self.known = D::NOTHING;
                 self.refresh.close();
@@ -322,13 +321,15 @@ impl<D: Dialect> Engine<D> {
             Routed::Connected => Some(EventOf::Connected),
             Routed::Pending(name) => Some(EventOf::Pending(name)),
             Routed::Answered => Some(EventOf::Answered(*answer)),
-            Routed::ReadBack(setting) => {
+            Routed::ReadBack(setting, opened) => {
                 let outcome = D::read_back_answer(&setting, answer, &mut self.known);
                 // A queued request may change the setting, and one of two replies may predate it.
                 if self.is_urgent() || !self.queue.is_empty() || self.doubled.is_some() {
                     D::forget_settings(&mut self.known);
                 }
-                self.confirm(self.confirmed);
+                if D::name(answer) == D::UPKEEP {
+                    self.upkeep = Upkeep::Confirmed(opened);
+                }
                 Some(EventOf::Answered(outcome))
             }
             Routed::Reported => D::value(answer).map(|value| EventOf::Reported(*value)),
@@ -389,8 +390,8 @@ impl<D: Dialect> Engine<D> {
         let link = match self.link {
             // A pending FAST STOP has priority; its own time-out then applies.
             Link::Down { retry_at } if !self.is_urgent() => retry_at,
-            Link::Up if self.refresh.is_idle() => {
-                Some(self.upkeep_at.map_or(self.refresh_at, |at| at.earlier_of(self.refresh_at)))
+            Link::Up { refresh_at, .. } if self.refresh.is_idle() => {
+                Some(self.upkeep_at().map_or(refresh_at, |at| at.earlier_of(refresh_at)))
             }
             _ => None,
         };
@@ -443,7 +444,7 @@ impl<D: Dialect> Engine<D> {
                 Expired::Overtaken => self.dropped = self.request.abandon(),
                 Expired::Repeated => count(&mut self.counters.repeated),
                 Expired::GivenUp => match self.link {
-                    Link::Up => self.link = Link::Closing { farewell: false },
+                    Link::Up { .. } => self.link = Link::Closing { farewell: false },
                     // Another transaction may have timed out at the same moment.
                     Link::Closing { .. } | Link::Ended => {}
                     Link::Down { .. } | Link::Connecting { .. } => {
@@ -462,11 +463,11 @@ impl<D: Dialect> Engine<D> {
         }
         if !self.fast_stop.is_idle() {
             self.fast_stop.expire(now);
-            if self.link == Link::Up && self.fast_stop_deadline().is_some_and(|at| now.has_reached(at)) {
+            if self.is_connected() && self.fast_stop_deadline().is_some_and(|at| now.has_reached(at)) {
                 self.link = Link::Closing { farewell: false };
             }
         }
-        if self.upkeep_at.is_some_and(|at| now.has_reached(at)) {
+        if self.upkeep_at().is_some_and(|at| now.has_reached(at)) {
             self.keep_up(now);
         }
         let (attempts, refresh_attempts) = self.attempts();
@@ -513,7 +514,7 @@ impl<D: Dialect> Engine<D> {
             self.given_up = Some(running.name);
             return EventOf::Unanswered(running.name);
         }
-        let setting = self.reading_back.take().map(|setting| setting.name());
+        let setting = self.reading_back.take().map(|(setting, _)| setting.name());
         if let Some(name) = self.request.abandon() {
             return EventOf::Unanswered(setting.unwrap_or(name));
         }

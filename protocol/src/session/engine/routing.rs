@@ -1,6 +1,6 @@
 //! Which request or subscription a reply belongs to.
 
-use super::{Engine, Link, Running};
+use super::{Engine, Link, Running, Upkeep};
 use crate::command::Kind;
 use crate::session::dialect::{Dialect, NameOf, Role};
 use crate::session::message::{Message, Name};
@@ -21,8 +21,8 @@ pub(super) enum Routed<M: Message> {
     Pending(M::Name),
     /// A request; this is its final reply.
     Answered,
-    /// This setting, which was read back.
-    ReadBack(M),
+    /// This setting, which was read back by a query that was opened at this time.
+    ReadBack(M, Instant),
     /// A subscriber, if the reply contains a value.
     Reported,
 }
@@ -86,7 +86,9 @@ impl<D: Dialect> Engine<D> {
         if D::UPKEEP == Some(name) && self.upkeep_is_sent() {
             // Before a setting's read-back, because the first reply may predate the setting.
             self.refresh.close();
-            self.confirm(self.upkeep_opened);
+            if let Upkeep::Queried { opened, .. } = self.upkeep {
+                self.upkeep = Upkeep::Confirmed(opened);
+            }
             if status != Status::Success {
                 D::forget_settings(&mut self.known);
             }
@@ -130,15 +132,14 @@ impl<D: Dialect> Engine<D> {
         let request = self.request.own().copied();
         self.doubled = self.request.doubled().or(self.doubled);
         self.request.close();
-        if let Some(setting) = self.reading_back.take() {
-            return Routed::ReadBack(setting);
+        if let Some((setting, opened)) = self.reading_back.take() {
+            return Routed::ReadBack(setting, opened);
         }
         if status == Status::Success
             && let Some(setting) = request
             && let Some(query) = self.dialect.read_back(&setting)
         {
-            self.reading_back = Some(setting);
-            self.confirmed = now;
+            self.reading_back = Some((setting, now));
             self.request.open(Request::Own(query), self.timing.reply_timeout(query.name()));
             return Routed::Taken;
         }
@@ -161,9 +162,8 @@ impl<D: Dialect> Engine<D> {
                     self.link = Link::Connecting { step: next };
                     Routed::Taken
                 } else {
-                    self.link = Link::Up;
-                    self.refresh_step = 0;
-                    self.refresh_at = now.plus(self.refresh_interval_ms());
+                    self.link =
+                        Link::Up { refresh_at: now.plus(self.refresh_interval_ms()), refresh_step: 0 };
                     Routed::Connected
                 }
             }

@@ -1,6 +1,6 @@
 //! Which request is due next: from the queue, a setup step, a refresh, or the upkeep of known settings.
 
-use super::{Engine, Link, REFRESH_REPEATS};
+use super::{Engine, Link, REFRESH_REPEATS, Upkeep};
 use crate::session::dialect::Dialect;
 use crate::session::message::Message;
 use crate::session::subscriptions::List;
@@ -21,7 +21,7 @@ impl<D: Dialect> Engine<D> {
         if !self.refresh.is_idle() {
             return;
         }
-        if self.link == Link::Up
+        if self.is_connected()
             && let Some(changed) = self.subscriptions.changed()
         {
             self.open_refresh(changed);
@@ -36,17 +36,16 @@ impl<D: Dialect> Engine<D> {
                 }
             }
             Link::Connecting { step } => self.open_step(step),
-            Link::Up if now.has_reached(self.refresh_at) => {
-                let step = self.refresh_step;
-                if let Some(request) = self.dialect.refresh(step, &self.subscriptions) {
+            Link::Up { mut refresh_at, refresh_step } if now.has_reached(refresh_at) => {
+                if let Some(request) = self.dialect.refresh(refresh_step, &self.subscriptions) {
                     self.open_refresh(request);
-                    self.refresh_at = now.plus(self.refresh_interval_ms());
+                    refresh_at = now.plus(self.refresh_interval_ms());
                 }
-                let next = step.saturating_add(1);
-                let goes_on = self.dialect.refresh(next, &self.subscriptions).is_some();
-                self.refresh_step = if goes_on { next } else { 0 };
+                let next = refresh_step.saturating_add(1);
+                let has_next = self.dialect.refresh(next, &self.subscriptions).is_some();
+                self.link = Link::Up { refresh_at, refresh_step: if has_next { next } else { 0 } };
             }
-            Link::Up | Link::Closing { .. } | Link::Ended => {}
+            Link::Up { .. } | Link::Closing { .. } | Link::Ended => {}
         }
     }
 
@@ -66,31 +65,38 @@ impl<D: Dialect> Engine<D> {
         self.refresh.own().is_some_and(|request| D::UPKEEP == Some(request.name()))
     }
 
-    /// Records when the query was opened that confirmed the known settings. The next query is due after half of their
-    /// lifetime.
-    pub(super) fn confirm(&mut self, opened: Instant) {
-        self.confirmed = opened;
-        self.upkeep_at = Some(opened.plus(self.timing.refresh_ms / 2));
+    /// Returns since when the next upkeep query is due, after half of the lifetime of the known settings.
+    pub(super) fn upkeep_at(&self) -> Option<Instant> {
+        self.confirmed().map(|at| at.plus(self.timing.refresh_ms / 2))
+    }
+
+    /// Returns when the query was opened that last confirmed the known settings.
+    const fn confirmed(&self) -> Option<Instant> {
+        match self.upkeep {
+            Upkeep::Idle => None,
+            Upkeep::Confirmed(confirmed) | Upkeep::Queried { confirmed, .. } => Some(confirmed),
+        }
     }
 
     /// Queries the known settings again, and forgets them if they were not confirmed in time.
     // Rarely due.
     #[inline(never)]
     pub(super) fn keep_up(&mut self, now: Instant) {
+        let Some(confirmed) = self.confirmed() else { return };
         let is_late = self.upkeep_is_sent() && self.refresh.is_overdue(now);
         if is_late {
             // Not repeated: of two replies the later one could be mistaken for a read-back.
             self.refresh.close();
         }
-        if is_late || now.has_reached(self.confirmed.plus(self.timing.refresh_ms)) {
+        if is_late || now.has_reached(confirmed.plus(self.timing.refresh_ms)) {
             D::forget_settings(&mut self.known);
         }
         match D::upkeep(&self.known) {
             Some(query) if self.refresh.is_idle() => {
-                self.upkeep_opened = now;
+                self.upkeep = Upkeep::Queried { confirmed, opened: now };
                 self.open_refresh(query);
             }
-            None if !self.holds_upkeep() => self.upkeep_at = None,
+            None if !self.holds_upkeep() => self.upkeep = Upkeep::Idle,
             _ => {}
         }
     }
