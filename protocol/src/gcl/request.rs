@@ -1,12 +1,11 @@
 //! Requests: every command and query of the manual's chapters 2 and 3, with parser and writer.
 
 use super::form::{Ask, Call, Form};
+// The table names them.
+use super::parameters::*;
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
-use super::{
-    Autosend, CommandName, Grip, LineError, Move, Named, ParseError, Refused, Release, Select, Setting, Tare,
-    Topic, write_line,
-};
+use super::{CommandName, LineError, Named, ParseError, Refused, Topic, write_line};
 use crate::command::Kind;
 use crate::types::HomingDirection;
 use core::fmt::{Formatter, Result as Written, Write};
