@@ -122,6 +122,25 @@ pub(crate) fn fast_stop(workspace: &Workspace) -> Result<String> {
     Ok(table)
 }
 
+/// Measures the transfers of an update to a Pico in its emulator, and returns their table.
+pub(crate) fn update_times(toolchain: &ThumbToolchain<'_>) -> Result<String> {
+    let mut tests = toolchain.workspace.cargo(
+        "test --quiet -p host-tests --test end_to_end each_transport_receives_an_image -- --include-ignored --nocapture",
+    );
+    let board = Board::emulated("pico")?;
+    setup::set_up_emulator(toolchain.workspace, board, &mut tests)?;
+    tests.env("WSG_WHOLE", "1").env("WSG_BOOT_ELF_PICO", firmware::boot_loader(toolchain, board)?.path);
+    tests.env("WSG_SLOT_ELF_PICO", firmware::build_for_slot(toolchain, board)?.path);
+    let printed = process::output(&mut tests).context("a transport did not receive the image")?;
+    let rows = printed.lines().filter(|line| line.starts_with("| ")).map(|row| {
+        let mut cells = row.trim_matches('|').split('|').map(|cell| cell.trim().to_owned());
+        [(); 3].map(|()| cells.next().unwrap_or_default())
+    });
+    let table = document::table(["transport", "bytes", "transfer and check"], rows);
+    print!("{table}");
+    Ok(table)
+}
+
 /// Default number of states to explore.
 pub(crate) const STATES: u64 = 100_000_000;
 

@@ -22,7 +22,11 @@ pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<
 
     let path = toolchain.workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
-    let parts = [("figures", table(&gates)), ("fast-stop", commands::fast_stop(toolchain.workspace)?)];
+    let parts = [
+        ("figures", table(&gates)),
+        ("fast-stop", commands::fast_stop(toolchain.workspace)?),
+        ("updates", commands::update_times(toolchain)?),
+    ];
     let text = parts.iter().try_fold(text, |text, (name, part)| document::with_part(&text, name, part));
     let text = text.with_context(|| format!("{DOCUMENT} lacks a generated part"))?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;

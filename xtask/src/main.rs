@@ -129,6 +129,8 @@ enum Command {
     /// Measure the stopping time with every byte around the request corrupted in turn, in virtual time, against the limits in
     /// docs/wiring.md; about two minutes
     FastStop,
+    /// Measure the transfer of an update to the Pico over each transport, in its emulator; about four minutes
+    UpdateTimes,
     /// Explore every order of events on the bridge; about ten minutes on two cores
     Explore {
         /// Number of states to explore
@@ -253,6 +255,7 @@ fn run(command: Command) -> Result<ExitCode> {
             gate::check(&gates)?;
         }
         Command::FastStop => drop(commands::fast_stop(workspace)?),
+        Command::UpdateTimes => drop(commands::update_times(&setup::thumb(workspace)?)?),
         Command::Explore { states } => commands::explore(workspace, states)?,
         Command::Fuzz(extent) => fuzz::run(workspace, &extent)?,
         Command::Soak(extent) => commands::soak(&setup::thumb_and_qemu(workspace)?, &extent)?,
