@@ -1,8 +1,25 @@
-//! The two ends of a line between threads.
+//! The two ends of a line between threads, and ports for programs.
 
 use std::io;
+use std::net::TcpListener;
+use std::process::id;
+use std::sync::atomic::{AtomicU16, Ordering};
 
 pub use uninterrupted::Socket;
+
+/// Returns a port of 127.0.0.1 that is free, for a program that binds it later. The system gives ports from 32768 on to any program
+/// that asks for one, so this one is below.
+///
+/// # Panics
+/// Panics when no port is free.
+#[must_use]
+pub fn free_port() -> u16 {
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    // Programs at the same time begin at different ports.
+    let first = (id() % 100 * 100) as u16;
+    let mut ports = (0..10_000).map(|_| 20_000 + (first + NEXT.fetch_add(1, Ordering::Relaxed)) % 10_000);
+    ports.find(|port| TcpListener::bind(("127.0.0.1", *port)).is_ok()).expect("a port is free")
+}
 
 /// Returns the two ends of a line.
 ///
@@ -19,7 +36,7 @@ pub fn pair() -> io::Result<(Socket, Socket)> {
 /// Fails when the system creates no socket, or another program connects to it first.
 #[cfg(not(unix))]
 pub fn pair() -> io::Result<(Socket, Socket)> {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0")?;
+    let listener = TcpListener::bind("127.0.0.1:0")?;
     let near = Socket::connect(listener.local_addr()?)?;
     let (far, peer) = listener.accept()?;
     if peer != near.local_addr()? {

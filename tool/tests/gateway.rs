@@ -27,6 +27,7 @@ use document::read;
 use host_tests::ethernetip;
 use host_tests::gateway::{self, Gateway, Moved};
 use host_tests::modbus_tcp;
+use host_tests::socket::free_port;
 use host_tests::terminal::Terminal;
 use program::{printed, wsg};
 use rustix::fs::{CWD, Mode, mkfifoat};
@@ -674,7 +675,7 @@ struct Cable {
 impl Link {
     /// Returns a gripper with this line, and the other end of the line.
     fn open(self) -> (ServerThread, Cable) {
-        let [gateway, gripper, answers] = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
+        let [gateway, gripper] = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
         let address = |socket: &UdpSocket| socket.local_addr().unwrap();
         let udp = UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port: address(&gripper).port() };
         let can = CanLine { bus: CanBus::Slcan(SerialLine::Pty), identifiers: Identifiers::DEFAULT };
@@ -685,9 +686,10 @@ impl Link {
             ..Lines::default()
         });
         let Some(path) = server.serial_path().or(server.can_path()) else {
-            gateway.connect(address(&answers)).unwrap();
+            let answer = free_port();
+            gateway.connect(("127.0.0.1", answer)).unwrap();
             gripper.connect(server.udp_address().unwrap()).unwrap();
-            let [port, answer] = [&gateway, &answers].map(|socket| address(socket).port());
+            let port = address(&gateway).port();
             let [to_gateway, to_gripper] = [gateway, gripper].map(|socket| {
                 socket.set_nonblocking(true).unwrap();
                 OwnedFd::from(socket)

@@ -17,6 +17,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+pub(crate) use host_tests::socket::free_port;
 use serde_json::Value;
 use wsg_protocol::{Command, Event, FrameEncoder, FrameParser, Reply, Status};
 use wsg_sim::{
@@ -69,11 +70,6 @@ impl Drop for Running {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
-}
-
-/// Returns a TCP port that is currently free.
-pub(crate) fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 /// Polls `look` until it returns a value. Panics after the time-out.
