@@ -321,6 +321,14 @@ impl Emulator {
         self.command(&format!("derail {how:?}")).map(drop)
     }
 
+    /// Pico: cuts the power at the operation of the flash after this number of others.
+    ///
+    /// # Errors
+    /// Fails on any other board, or when the emulator has ended.
+    pub fn cut_power_after(&self, operations: u32) -> Result<()> {
+        self.command(&format!("cut {operations}")).map(drop)
+    }
+
     /// Pico: returns the number of watchdog resets, and the time from the main loop's last turn to the last reset.
     ///
     /// # Errors

@@ -6,6 +6,7 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use host_tests::addresses::setting;
@@ -232,6 +233,14 @@ impl Plant {
         }
     }
 
+    /// Cuts the power of the running board at the operation of its flash after this number of others.
+    fn cut(&self, board: &Emulator, operations: u32) {
+        match &self.flash {
+            Flash::Qemu(flash) => flash.cut(operations, Tear::Mixed),
+            Flash::Pico(_) => board.cut_power_after(operations).unwrap(),
+        }
+    }
+
     fn start_in_qemu(
         &self,
         slots: &[(u32, Vec<u8>)],
@@ -304,13 +313,13 @@ fn image_is_received_exchanged_and_confirmed(board: Board) {
     let number = Target::of(name(board)).number();
     assert_eq!(halves, [(number >> 16) as u16, number as u16]);
     if let (Flash::Qemu(flash), false) = (&plant.flash, extent::is_whole()) {
-        send_records(&mut master, &plant.new[..PART_LEN]);
+        send_records(&mut master, &plant.new[..PART_LEN]).unwrap();
         assert!(flash.slots()[1].1.starts_with(&plant.new[..PART_LEN - BLOCK_LEN]));
         assert!(flash.violations().is_empty(), "{:?}", flash.violations());
         return;
     }
     let began = Instant::now();
-    send_records(&mut master, &plant.new);
+    send_records(&mut master, &plant.new).unwrap();
     println!("transfer of {} bytes: {:.1?}", plant.new.len(), began.elapsed());
     check(&mut master);
     println!("with the check: {:.1?}", began.elapsed());
@@ -337,14 +346,15 @@ fn image_is_received_exchanged_and_confirmed(board: Board) {
     }
 }
 
-/// Sends an image, or the start of one, as file records.
-fn send_records(master: &mut Master, bytes: &[u8]) {
+/// Sends an image, or the start of one, as file records. Fails when the board does not answer.
+fn send_records(master: &mut Master, bytes: &[u8]) -> anyhow::Result<()> {
     for (block, at) in bytes.chunks(BLOCK_LEN).zip((0..).step_by(BLOCK_LEN)) {
         let [_, f, r1, r0] = ((at / FILE_LEN) << 16 | (at % FILE_LEN / 2)).to_be_bytes();
         let len = block.len() as u8;
         let pdu = [&[21, 7 + len, 6, 0, 1 + f, r1, r0, 0, len / 2], block].concat();
-        assert_eq!(master.ask(&pdu).unwrap(), pdu, "{at}");
+        assert_eq!(master.ask(&pdu)?, pdu, "{at}");
     }
+    Ok(())
 }
 
 /// Has a complete image checked, which is accepted.
@@ -384,7 +394,7 @@ fn each_transport_receives_an_image_in_rp2040js() {
     let (image, is_whole) = (&plant.new, extent::is_whole());
     let len = if is_whole { image.len() } else { PART_LEN };
     let transfer = |master: &mut Master| {
-        send_records(master, &image[..len]);
+        send_records(master, &image[..len]).unwrap();
         if is_whole {
             check(master);
         }
@@ -445,8 +455,8 @@ fn settings_survive_the_installation_of_the_boot_loader(board: Board) {
     assert_eq!(master.read(3, setting("DEBOUNCE"), 1).unwrap(), [7]);
 }
 
-/// Returns a program for a slot at this address that writes words to addresses, and the last one again and again. It is as small as
-/// two pages of the flash, so its exchange has few operations.
+/// Returns a program for a slot at this address that stores words at addresses, and repeats the last store. It is as small as two
+/// pages of the flash, so its exchange has few operations.
 fn small_program(slot: u32, writes: &[(u32, u32)], len: usize) -> Vec<u8> {
     const CODE_AT: usize = 0x100;
     let mut program = vec![0; CODE_AT];
@@ -481,7 +491,7 @@ fn indicator(board: Board, is_ready: bool) -> Vec<u8> {
         let mut writes = vec![(0x4000_F000, 1 << 5 | 1 << 8)];
         writes.extend(outputs.iter().map(|wire| (0x4001_4004 + 8 * gpio(wire), 5)));
         let level = if is_ready { 0xD000_0014 } else { 0xD000_0018 };
-        // At last, the longest time of the watchdog.
+        // The last store is the longest time of the watchdog.
         writes.extend([(0xD000_0024, mask), (level, 1 << ready), (0x4005_8004, 0xFF_FFFF)]);
         return small_program(0x1000_8000, &writes, 6_000);
     };
@@ -492,7 +502,7 @@ fn indicator(board: Board, is_ready: bool) -> Vec<u8> {
     let mode =
         (0..16).filter(|pin| pins >> pin & 1 == 1).fold(u32::MAX, |mode, pin| mode ^ 0b10 << (2 * pin));
     let levels = pins << 16 | if is_ready { 1 << ready } else { 0 };
-    // At last, the key that feeds the watchdog.
+    // The last store is the key that feeds the watchdog.
     let writes = [(0x4002_104C, 0xFF), (port, mode), (port + 0x18, levels), (0x4000_3000, 0xAAAA)];
     small_program(SLOT_AT, &writes, 2_500)
 }
@@ -534,6 +544,64 @@ fn power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image(board: Board
         println!("{cuts} cuts, one in {step} operations");
         assert!(cuts > 0 && cuts * step > 50, "the exchange has at most {} operations", cuts * step);
         // The next start returns the previous image, because this one did not confirm itself.
+    }
+}
+
+/// Power cuts while the firmware receives an image: the old one runs with its settings, and receives the image from its start.
+fn power_cuts_in_a_transfer_leave_the_old_image(board: Board) {
+    let plant = Plant::new(board, "transfer-cuts");
+    let (mut rig, mut master) = plant.power_up();
+    master.write(setting("DEBOUNCE"), &[7]).unwrap();
+    master.write(command("SAVE"), &[COMMAND_KEY]).unwrap();
+    wait_until("the save to end", || master.report("SAVE_STATE").unwrap(), |state| *state == 2);
+    // The first operations are those of the state's record, which withdraws an earlier request, and of the first page.
+    let cuts: &[u32] = if extent::is_whole() { &[0, 1, 2, 3, 5, 8, 13, 20] } else { &[2] };
+    for operations in cuts {
+        plant.cut(rig.board(), *operations);
+        thread::scope(|scope| {
+            let transfer = scope.spawn(|| send_records(&mut master, &plant.new[..PART_LEN]));
+            wait_until("the power cut", || rig.board().now_ms().is_err(), |is_cut| *is_cut);
+            // The board's lines end.
+            drop(rig);
+            assert!(transfer.join().unwrap().is_err(), "after {operations} operations");
+        });
+        (rig, master) = plant.power_up();
+        assert!(plant.slot_a().starts_with(&plant.old), "after {operations} operations");
+        assert_eq!(master.read(3, setting("DEBOUNCE"), 1).unwrap(), [7], "after {operations} operations");
+    }
+    send_records(&mut master, &plant.new[..PART_LEN]).unwrap();
+}
+
+/// Power cuts while a new image confirms itself: it stays, or the previous one returns, which is final. Only in `cargo xtask ci`.
+#[test]
+#[ignore = "needs rp2040js and the firmware images: run `cargo xtask test`"]
+fn power_cuts_in_the_confirmation_leave_the_old_or_the_new_image_in_rp2040js() {
+    const CONFIRMED_MS: u32 = 15_000;
+    if !extent::is_whole() {
+        return;
+    }
+    for operations in 0.. {
+        let mut plant = Plant::new(Board::PICO, "confirmation-cuts");
+        plant.request();
+        let (rig, _) = plant.power_up();
+        assert!(plant.slot_a().starts_with(&plant.new), "on trial");
+        plant.cut(rig.board(), operations);
+        let now = || rig.board().now_ms().unwrap_or(u32::MAX);
+        let is_cut = wait_until("the confirmation", now, |now| *now > CONFIRMED_MS) == u32::MAX;
+        drop(rig);
+        let runs_new = || {
+            drop(plant.power_up());
+            let (old, new) = (plant.slot_a().starts_with(&plant.old), plant.slot_a().starts_with(&plant.new));
+            assert!(old != new, "slot A contains neither image after {operations} operations");
+            new
+        };
+        let is_new = runs_new();
+        assert_eq!(runs_new(), is_new, "after {operations} operations");
+        println!("after {operations} operations: new {is_new}");
+        if !is_cut {
+            assert!(is_new && operations > 1, "{operations} operations");
+            return;
+        }
     }
 }
 
@@ -592,6 +660,7 @@ mod updates {
     on_every_board!(board =>
         image_is_received_exchanged_and_confirmed,
         settings_survive_the_installation_of_the_boot_loader,
+        power_cuts_in_a_transfer_leave_the_old_image,
         power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image,
     );
 }
