@@ -278,7 +278,7 @@ fn messages_of_driver_and_handles_do_not_interleave() {
 
 #[test]
 fn closed_port_is_an_error_of_the_transport() {
-    // Nobody listens on port 1.
+    // No program listens on port 1.
     let address = SocketAddr::from(([127, 0, 0, 1], 1));
     let result = host::with_gripper(address, |gripper| gripper.stop());
     assert!(matches!(result, Err(Error::Transport(_))), "{result:?}");

@@ -360,7 +360,7 @@ fn gripping_cycle_example_runs_over_tcp_and_counts() {
         assert!(printed.starts_with("2 cycles in ") && printed.contains(counted), "{printed}");
         assert!(printed.contains(" requests, 0 repeated; slowest answer "), "{printed}");
     });
-    // Nobody listens on port 1.
+    // No program listens on port 1.
     let address = SocketAddr::from(([127, 0, 0, 1], 1));
     let output = run(address);
     assert_eq!(output.status.code(), Some(1));
