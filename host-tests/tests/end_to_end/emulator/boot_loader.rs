@@ -554,7 +554,7 @@ fn power_cuts_in_a_transfer_leave_the_old_image(board: Board) {
     master.write(setting("DEBOUNCE"), &[7]).unwrap();
     master.write(command("SAVE"), &[COMMAND_KEY]).unwrap();
     wait_until("the save to end", || master.report("SAVE_STATE").unwrap(), |state| *state == 2);
-    // The first operations are those of the state's record, which withdraws an earlier request, and of the first page.
+    // The first operations write the state's record, which withdraws an earlier request, and the first page.
     let cuts: &[u32] = if extent::is_whole() { &[0, 1, 2, 3, 5, 8, 13, 20] } else { &[2] };
     for operations in cuts {
         plant.cut(rig.board(), *operations);
