@@ -181,6 +181,11 @@ pub(super) fn editor_previews_sends_and_decodes() {
         tab.fill("#frame-payload", "");
         tab.press("Enter");
         tab.until("document.querySelector('#frames li:last-child .what').textContent.startsWith('<- 53h Get System Limits E_SUCCESS stroke 110.0 mm')");
+        // The preview of the last key, 150 ms after it, does not replace the answer.
+        let message = text("frame-message");
+        tab.until(&format!("{message}.endsWith(': sent')"));
+        let later = format!("new Promise(done => setTimeout(() => done({message}), 400))");
+        assert_eq!(tab.eval(&later), "53h Get System Limits: sent");
         tab.click("#frames li:last-child button");
         // The stroke is the first float after the status.
         tab.fill("#from", "8");

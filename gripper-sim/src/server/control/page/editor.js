@@ -15,6 +15,8 @@ for (const id of ["frame-command", "frame-payload"])
   $(id).addEventListener("input", () => { clearTimeout(typed); typed = setTimeout(preview, 150); });
 $("frame-form").addEventListener("submit", async event => {
   event.preventDefault();
+  // A preview must not replace the answer.
+  clearTimeout(typed); asked++;
   const answer = await ask("frame-message", "/frame", frameOf(true));
   if (answer) { write($("packet"), hex(answer.bytes)); say("frame-message", answer.meaning + ": sent"); }
 });
