@@ -294,14 +294,12 @@ impl FlashController {
     /// Returns other flash with the same content, after power-on.
     #[must_use]
     pub fn copy(&self) -> Self {
-        let copy = Self::new(self.lock().layout);
-        let (pages, has_slots) = {
-            let state = self.lock();
-            (state.pages.clone(), state.has_slots)
-        };
-        let mut state = copy.lock();
-        (state.pages, state.has_slots) = (pages, has_slots);
-        drop(state);
+        let state = self.lock();
+        let copy = Self::new(state.layout);
+        {
+            let copied = &mut *copy.lock();
+            (copied.pages, copied.has_slots) = (state.pages.clone(), state.has_slots);
+        }
         copy
     }
 

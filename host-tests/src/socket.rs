@@ -1,13 +1,13 @@
 //! The two ends of a line between threads, and ports for programs.
 
 use std::io;
-use std::net::TcpListener;
+use std::net::{TcpListener, UdpSocket};
 use std::process::id;
 use std::sync::atomic::{AtomicU16, Ordering};
 
 pub use uninterrupted::Socket;
 
-/// Returns a port of 127.0.0.1 that is free, for a program that binds it later. The system gives ports from 32768 on to any program
+/// Returns a port of 127.0.0.1 that is free for TCP and UDP, for a program that binds it later. The system gives ports from 32768 on to any program
 /// that asks for one, so this one is below.
 ///
 /// # Panics
@@ -18,7 +18,11 @@ pub fn free_port() -> u16 {
     // Programs at the same time begin at different ports.
     let first = (id() % 100 * 100) as u16;
     let mut ports = (0..10_000).map(|_| 20_000 + (first + NEXT.fetch_add(1, Ordering::Relaxed)) % 10_000);
-    ports.find(|port| TcpListener::bind(("127.0.0.1", *port)).is_ok()).expect("a port is free")
+    let is_free = |port: &u16| {
+        let address = ("127.0.0.1", *port);
+        TcpListener::bind(address).is_ok() && UdpSocket::bind(address).is_ok()
+    };
+    ports.find(is_free).expect("a port is free")
 }
 
 /// Returns the two ends of a line.

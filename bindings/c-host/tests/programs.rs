@@ -1,6 +1,7 @@
 //! The example in C, linked with the static library, against the virtual gripper over every line.
 
 use std::mem::MaybeUninit;
+use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::ptr;
@@ -69,7 +70,8 @@ fn host_example_runs_over_tcp() {
 #[test]
 fn host_example_runs_over_udp() {
     // The library binds the port for replies. The system gives ports from 32768 on to any program, so this one is below.
-    let free = 30_000 + (std::process::id() % 2_000) as u16;
+    let first = 30_000 + (std::process::id() % 2_000) as u16;
+    let free = (first..32_768).find(|port| UdpSocket::bind(("127.0.0.1", *port)).is_ok()).unwrap();
     let line = UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port: free };
     runs(&Lines { udp: Some(line), ..Lines::default() }, |server| {
         let address = server.udp_address().unwrap();

@@ -415,9 +415,7 @@ fn each_transport_receives_an_image_in_rp2040js() {
     drop(rig);
 
     let (rig, mut service) = plant.power_up();
-    service.write(setting("PLC_BUS"), &[PlcBus::Canopen as u16]).unwrap();
-    service.write(command("SAVE"), &[COMMAND_KEY]).unwrap();
-    wait_until("the save to end", || service.report("SAVE_STATE").unwrap(), |state| *state == 2);
+    store(&mut service, "PLC_BUS", PlcBus::Canopen as u16);
     drop(rig);
     let bus = Mcp2515::new_bus(500_000);
     let station = bus.join();
@@ -427,6 +425,13 @@ fn each_transport_receives_an_image_in_rp2040js() {
     measure("CANopen, 500 kbit/s", &rig, &mut || download(&station, image, len));
     let received = ["HIGH", "LOW"].map(|half| service.report(&format!("UPDATE_BYTES_{half}")).unwrap());
     assert_eq!(usize::from(received[0]) << 16 | usize::from(received[1]), len);
+}
+
+/// Changes a setting, and stores it.
+fn store(master: &mut Master, name: &str, value: u16) {
+    master.write(setting(name), &[value]).unwrap();
+    master.write(command("SAVE"), &[COMMAND_KEY]).unwrap();
+    wait_until("the save to end", || master.report("SAVE_STATE").unwrap(), |state| *state == 2);
 }
 
 fn command(name: &str) -> u16 {
@@ -443,9 +448,7 @@ fn settings_survive_the_installation_of_the_boot_loader(board: Board) {
     let mut rig = board.rig(RELEASED, extras, Config::default());
     let line = rig.board_mut().take_service_line().unwrap();
     let mut master = Master::new(line, rig.board().clock(), 1);
-    master.write(setting("DEBOUNCE"), &[7]).unwrap();
-    master.write(command("SAVE"), &[COMMAND_KEY]).unwrap();
-    wait_until("the save to end", || master.report("SAVE_STATE").unwrap(), |state| *state == 2);
+    store(&mut master, "DEBOUNCE", 7);
     drop(rig);
 
     plant.install();
@@ -551,9 +554,7 @@ fn power_cuts_in_exchange_and_return_leave_the_old_or_the_new_image(board: Board
 fn power_cuts_in_a_transfer_leave_the_old_image(board: Board) {
     let plant = Plant::new(board, "transfer-cuts");
     let (mut rig, mut master) = plant.power_up();
-    master.write(setting("DEBOUNCE"), &[7]).unwrap();
-    master.write(command("SAVE"), &[COMMAND_KEY]).unwrap();
-    wait_until("the save to end", || master.report("SAVE_STATE").unwrap(), |state| *state == 2);
+    store(&mut master, "DEBOUNCE", 7);
     // The first operations write the state's record, which withdraws an earlier request, and the first page.
     let cuts: &[u32] = if extent::is_whole() { &[0, 1, 2, 3, 5, 8, 13, 20] } else { &[2] };
     for operations in cuts {
