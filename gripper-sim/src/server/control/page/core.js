@@ -42,6 +42,8 @@ async function send(path, body) {
   const answer = await request(path, body, abort.signal);
   clearTimeout(end);
   abort.abort();
+  // The next state is drawn: it shows what was executed, or that an input was refused.
+  shownText = "";
   // The answer to a command is a newer state than the page shows.
   if (answer.body && answer.body.as_of) asOf = answer.body.as_of;
   return answer;
@@ -143,6 +145,7 @@ function isGone() {
     for (const act of onGone) act();
     showTitle();
   }
+  shownText = "";
   if (seenAt !== null) write($("time"), `${now.toFixed(1)} s, ${Math.floor(age() / 1000)} s ago`);
 }
 // The title of a hidden page has no state: its browser would not let it stay current.
@@ -163,14 +166,19 @@ function take({ time_s, as_of, state }) {
   isLost = false;
   if (!isFresh()) return isGone();
   for (const act of onSample) act(state, time_s);
+  // A state without news is drawn once a second, for the time.
+  if (Math.abs(now - drawnAt) < 0.9 && JSON.stringify(state) === shownText) return;
   // Only the latest state of each frame is drawn, so that many windows leave time for clicks.
   if (latest === null) requestAnimationFrame(drawLatest);
   latest = state;
 }
-let latest = null;
+// The latest state, until it is drawn; the last drawn one as text, and its time.
+let latest = null, shownText = "", drawnAt = 0;
 function drawLatest() {
   const state = latest;
   latest = null;
+  shownText = JSON.stringify(state);
+  drawnAt = now;
   if (!isFresh()) return isGone();
   document.body.classList.remove("stale");
   const fastStopped = state.system_state.includes("FAST_STOP");
@@ -183,6 +191,7 @@ function drawLatest() {
 }
 function takeHello(data) {
   hello = data;
+  shownText = "";
   least = Infinity;
   write($("model"), hello.model + (hello.tag ? " " + hello.tag : ""));
   write($("refusal"), "");

@@ -104,7 +104,7 @@ function showResult(state, time) {
   const moves = MOVING.includes(state.gripper_state) || state.system_state.includes("MOVING");
   awaited.seen ||= moves;
   // A motion may be over before a state shows it.
-  if (moves || (!awaited.seen && time - awaited.since < 0.2)) return;
+  if (moves || (!awaited.seen && time - awaited.since < 0.2)) { shownText = ""; return; }
   write(awaited.item, `${awaited.text}: ${state.gripper_state} at ${state.width_mm.toFixed(1)} mm, ${state.force_n.toFixed(1)} N`);
   const failed = ["ERROR", "NO PART", "PART LOST"].includes(state.gripper_state) || state.system_state.includes("FAST_STOP");
   awaited.item.className = failed ? "bad" : "";

@@ -5,7 +5,10 @@ let series = [], marks = [], heldAt = null, cursorAt = null;
 onHello.push(() => { series = hello.history; marks = []; heldAt = null; $("hold").checked = false; });
 onSample.push((state, time) => {
   const sample = [time, state.width_mm, state.speed_mm_per_s, state.force_n], last = series[series.length - 1];
-  if (!last || [1, 2, 3].some(at => Math.abs(last[at] - sample[at]) > 0.004)) series.push(sample);
+  if (!last || [1, 2, 3].some(at => Math.abs(last[at] - sample[at]) > 0.004)) {
+    series.push(sample);
+    if (rests) keepPlotting(100);
+  }
   // While it is paused, nothing that it shows is dropped.
   const oldest = (heldAt ?? time) - WINDOW_S;
   while (series.length > 1 && series[1][0] < oldest) series.shift();
@@ -93,14 +96,18 @@ $("plot").addEventListener("keydown", event => {
   plot();
 });
 onGone.push(plot);
-// Every 100 ms, every 500 ms while nothing changes, and less often while the timer is late: many windows must leave time for clicks.
+// Every 100 ms, every second while nothing changes, and less often while the timer is late: many windows must leave time for clicks.
+let timer = 0, rests = false;
 function keepPlotting(pause) {
+  clearTimeout(timer);
+  rests = false;
   const due = performance.now() + pause;
-  setTimeout(() => {
+  timer = setTimeout(() => {
     const late = performance.now() - due;
     if (isFresh() && !pages[0].hidden) plot();
-    const least = series.length && now - series[series.length - 1][0] > 1 ? 500 : 100;
-    keepPlotting(late > 30 ? Math.min(1000, 2 * pause) : Math.max(least, 0.9 * pause));
+    const isLate = late > 30, hasRested = series.length && now - series[series.length - 1][0] > 1;
+    keepPlotting(isLate ? Math.min(1000, 2 * pause) : Math.max(hasRested ? 1000 : 100, 0.9 * pause));
+    rests = !isLate && hasRested;
   }, pause);
 }
 keepPlotting(100);
