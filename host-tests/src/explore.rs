@@ -6,7 +6,7 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | `action` | possible events |
+//! | `action` | the operations that are tried |
 //! | `plant` | bridge, gripper, line and PLC, and the effect of each action |
 //! | `roots` | initial states |
 //! | `search` | breadth-first search |
@@ -25,7 +25,10 @@ use std::fmt;
 
 pub use crate::promises::Promise;
 
-use action::{Action, BUS, WIRES};
+use wsg_bridge_fw::io::Outputs;
+
+use crate::operation::Operation;
+use action::{BUS, WIRES};
 use roots::Root;
 use search::{Outcome, explore};
 
@@ -51,7 +54,7 @@ impl PlcKind {
     /// All types of PLC.
     pub const ALL: [Self; 2] = [Self::Wires, Self::Bus];
 
-    const fn actions(self) -> &'static [Action] {
+    const fn actions(self) -> &'static [Operation] {
         match self {
             Self::Wires => &WIRES,
             Self::Bus => &BUS,
@@ -66,6 +69,20 @@ impl PlcKind {
         let outcome = explore(&plants, bounds);
         Report { plc: self, roots, outcome }
     }
+}
+
+/// Executes operations from the key state of this name. Returns the outputs after them.
+///
+/// # Errors
+/// The first [`Promise`] that is broken.
+///
+/// # Panics
+/// Panics without a key state of this name, and at an operation that an exploration does not know.
+pub fn replay(plc: PlcKind, root: &str, operations: &[Operation]) -> Result<Outputs, Promise> {
+    let mut roots = roots::roots(plc.actions()).into_iter();
+    let mut plant = roots.find(|known| known.name == root).expect("a key state of this name").plant;
+    operations.iter().try_for_each(|operation| plant.take(operation))?;
+    Ok(plant.outputs())
 }
 
 /// Result of an exploration.
@@ -96,7 +113,7 @@ impl Report {
 }
 
 impl fmt::Display for Report {
-    /// Writes figures, followed by the shortest way to break each broken promise.
+    /// Writes figures, followed by the shortest way to break each broken promise, also as operations for [`replay`].
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Outcome { states, tried, new_at, complete_to, broken, .. } = &self.outcome;
         let Self { plc, roots, .. } = self;
@@ -104,9 +121,9 @@ impl fmt::Display for Report {
         write!(f, "all orders of {complete_to} actions; new states by depth: {new_at:?}")?;
         for broken in broken {
             let root = &roots[broken.path.root()];
-            let actions = (0..broken.len).map(|step| broken.path.action(step));
+            let actions: Vec<u32> = (0..broken.len).map(|step| broken.path.action(step)).collect();
             write!(f, "\n{:?} is broken in {} ways; ", broken.promise, broken.ways)?;
-            write!(f, "the shortest, from \"{}\":{}", root.name, root.plant.report(actions))?;
+            write!(f, "the shortest, from \"{}\":{}", root.name, root.plant.report(&actions))?;
         }
         Ok(())
     }

@@ -8,16 +8,16 @@
 use wsg_bridge_fw::gripper::TO_SEND_MAX;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Config, ResetCause};
-use wsg_fieldbus::GripperFlags;
-use wsg_protocol::{Command, PrePositionFlags, Status, SystemFlags};
+use wsg_fieldbus::{CommandFlags, GripperFlags, OutputImage};
+use wsg_protocol::{CommandId, Status, SystemFlags};
 use wsg_sim::{Part, PortKind};
 
 use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
 use crate::flash_model::FlashModel;
+use crate::operation::{GripperEvent, Operation, image};
 use crate::serial_gripper::{Carry, SerialGripper};
 use crate::world::World;
-use crate::world::modbus::{JOG_PLUS, MOVE};
 
 /// Capacity of the line per millisecond, in hundredths of a byte (10 bits per byte).
 const HUNDREDTHS_PER_MS: u32 = 1_152;
@@ -136,30 +136,6 @@ impl Rig {
     fn is_moving(&self) -> bool {
         self.far.gripper.state().flags.contains(SystemFlags::MOVING)
     }
-
-    fn ask_for_stop(&mut self, scene: Scene) {
-        match scene {
-            Scene::GripCycle => self.inputs -= Inputs::FAST_STOP_OK,
-            Scene::Jog => self.write(0),
-            Scene::Silence => self.repeat(None),
-            Scene::ThirdPartyStop => self.act_as_third_party(&Command::Stop),
-            Scene::ThirdPartyMotion => self.act_as_third_party(&Command::PrePosition {
-                flags: PrePositionFlags::empty(),
-                width: 20.0,
-                speed: 50.0,
-            }),
-        }
-    }
-
-    fn act_as_third_party(&mut self, command: &Command<'_>) {
-        let now = self.now();
-        self.gripper().command(command, now);
-    }
-
-    /// Writes these flags with 40.00 mm, 50.00 mm/s and 40.00 N, now and repeatedly.
-    fn write(&mut self, flags: u8) {
-        self.repeat(Some([u16::from(flags) << 8, 40_00, 50_00, 40_00]));
-    }
 }
 
 /// The motion to stop, and the criterion.
@@ -175,6 +151,26 @@ enum Scene {
     ThirdPartyStop,
     /// The same, followed by a motion of the third party; measured until GSTATE shows it.
     ThirdPartyMotion,
+}
+
+impl Scene {
+    /// Returns the request for the stop.
+    const fn request(self) -> Operation {
+        match self {
+            Self::GripCycle => Operation::Toggle(Inputs::FAST_STOP_OK),
+            Self::Jog => Operation::Write(with(CommandFlags::empty())),
+            Self::Silence => Operation::FallSilent,
+            Self::ThirdPartyStop => Operation::Gripper(GripperEvent::ThirdPartyStops),
+            Self::ThirdPartyMotion => {
+                Operation::Gripper(GripperEvent::ThirdPartyBegins(CommandId::PrePosition))
+            }
+        }
+    }
+}
+
+/// Returns an image with these flags, 40 mm, 50 mm/s and 40 N.
+const fn with(flags: CommandFlags) -> OutputImage {
+    image(flags, [40_00, 50_00, 40_00])
 }
 
 /// The undisturbed course of a scene, as one snapshot per millisecond.
@@ -197,17 +193,16 @@ impl Course {
             rig.course_of(Inputs::MOVE, &mut |_| {});
         }
         if scene != Scene::GripCycle {
-            rig.write(0);
-            rig.pass(100);
-            rig.write(if jogs { JOG_PLUS } else { MOVE });
+            let flags = if jogs { CommandFlags::JOG_PLUS } else { CommandFlags::MOVE };
+            let [before, after] = [CommandFlags::empty(), flags].map(|flags| Operation::Write(with(flags)));
+            rig.play(&[before, Operation::Pass(100), after]);
         }
         if matches!(scene, Scene::ThirdPartyStop | Scene::ThirdPartyMotion) {
             rig.pass(50);
             assert!(rig.is_moving(), "the PLC's motion runs");
         }
         if scene == Scene::ThirdPartyMotion {
-            rig.act_as_third_party(&Command::Stop);
-            rig.pass(100);
+            rig.play(&[Operation::Gripper(GripperEvent::ThirdPartyStops), Operation::Pass(100)]);
         }
         keep(&rig);
         if scene == Scene::GripCycle {
@@ -253,7 +248,7 @@ impl Course {
         }
         // After the end of the course, time continues without commands.
         rig.pass((case.stop_at - begin) as u32);
-        rig.ask_for_stop(self.scene);
+        rig.play(&[self.scene.request()]);
         self.time_until_stopped(&mut rig, bound_ms)
     }
 
@@ -273,7 +268,7 @@ impl Course {
             *rig.way(way) = FaultyWay::new(Rates::of_bytes(rate), seed);
         }
         rig.pass((stop_at - begin) as u32);
-        rig.ask_for_stop(self.scene);
+        rig.play(&[self.scene.request()]);
         rig.pass(noise_ms);
         for way in [Way::Out, Way::Back] {
             *rig.way(way) = FaultyWay::perfect();

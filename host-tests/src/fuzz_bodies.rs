@@ -27,6 +27,8 @@ use std::thread;
 
 use generate::Pieces::{Hex, Text};
 
+use crate::operation::Operation;
+
 mod bridge;
 mod bridge_can;
 mod bridge_gateway;
@@ -110,6 +112,37 @@ impl Body {
             }
         });
     }
+}
+
+/// Functions of a whole-bridge body: one decodes an input into the byte that selects the start and a script, one plays them.
+type Whole = (fn(&[u8]) -> (u8, Vec<Operation>), fn(u8, &[Operation]));
+
+fn whole_bridge(body: &str) -> Whole {
+    use whole::{decode, play};
+    match body {
+        "bridge" => (decode::<bridge::Model>, play::<bridge::Model>),
+        "bridge_can" => (decode::<bridge_can::Model>, play::<bridge_can::Model>),
+        "bridge_profibus" => (decode::<bridge_profibus::Model>, play::<bridge_profibus::Model>),
+        "bridge_gateway" => (decode::<bridge_gateway::Model>, play::<bridge_gateway::Model>),
+        _ => panic!("{body} is not a whole-bridge body"),
+    }
+}
+
+/// Decodes an input of a whole-bridge body: the byte that selects the start, and the script.
+///
+/// # Panics
+/// Panics without such a body.
+#[must_use]
+pub fn decode(body: &str, data: &[u8]) -> (u8, Vec<Operation>) {
+    whole_bridge(body).0(data)
+}
+
+/// Plays a script on a whole-bridge body, as a failure prints it. `choice` selects the start.
+///
+/// # Panics
+/// Panics when a property is violated, and without such a body.
+pub fn play(body: &str, choice: u8, script: &[Operation]) {
+    whole_bridge(body).1(choice, script);
 }
 
 /// Prints its input when a body panics.

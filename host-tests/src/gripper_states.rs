@@ -115,7 +115,7 @@ impl Answer {
 
 /// An event in the gripper, apart from the commands that it receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum GripperEvent {
+pub enum GripperEvent {
     /// The motion succeeds.
     Finishes,
     /// The motion fails or finds no part.

@@ -37,6 +37,7 @@
 //! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
 //! | [`modbus_tcp`] | a master of Modbus/TCP |
 //! | `namespaces` | network namespaces with cables between them, on Linux |
+//! | [`operation`] | what can happen around a bridge, as one type |
 //! | [`plc_names`] | names of flags, states and status codes, for the documents |
 //! | `promises` | the promises of the bridge, judged from outside |
 //! | [`registers`] | models of peripherals that QEMU lacks |
@@ -85,6 +86,7 @@ pub mod modbus_master;
 pub mod modbus_tcp;
 #[cfg(target_os = "linux")]
 pub mod namespaces;
+pub mod operation;
 pub mod plc_names;
 mod promises;
 pub mod qtest;

@@ -29,10 +29,11 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::canopen::Node;
 use wsg_bridge_fw::plc::{Action, DpBuffers, DpResponder, UartStatus};
 use wsg_bridge_fw::{BoardId, Bridge, BusPort, Config, Counters, GripperLine, PlcBus, ResetCause, Station};
-use wsg_protocol::CommandId;
+use wsg_protocol::{Command, CommandId, PrePositionFlags};
 use wsg_sim::{Part, PortKind, Time, VirtualGripper};
 
 use crate::flash_model::FlashModel;
+use crate::operation::{GripperEvent, Operation};
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::{BYTES_PER_MS, Carry, Disturbance, SerialGripper, motions};
 use crate::slot_model::BOARD_NAME;
@@ -350,6 +351,31 @@ impl<W: Carry> World<W> {
         }
     }
 
+    /// Executes operations of time, wires, a Modbus master that repeats its last image, and third parties.
+    ///
+    /// # Panics
+    /// Panics at other operations.
+    pub fn play(&mut self, operations: &[Operation]) {
+        for operation in operations {
+            match *operation {
+                Operation::Pass(ms) => self.pass(ms),
+                Operation::Wires(levels) => self.inputs = levels,
+                Operation::Toggle(wires) => self.inputs.toggle(wires),
+                Operation::Write(image) => self.repeat(Some(modbus::registers_of(&image))),
+                Operation::FallSilent => self.repeat(None),
+                Operation::Gripper(GripperEvent::ThirdPartyStops) => {
+                    let now = self.now();
+                    self.gripper().command(&Command::Stop, now);
+                }
+                Operation::Gripper(GripperEvent::ThirdPartyBegins(CommandId::PrePosition)) => {
+                    let (flags, now) = (PrePositionFlags::empty(), self.now());
+                    self.gripper().command(&Command::PrePosition { flags, width: 20.0, speed: 50.0 }, now);
+                }
+                _ => panic!("a world does not execute {operation:?}"),
+            }
+        }
+    }
+
     /// Raises wires for 5 ms and lowers them for 5 ms.
     pub fn pulse(&mut self, wires: Inputs) {
         self.set(wires, true);
@@ -411,8 +437,18 @@ impl<W> std::fmt::Debug for World<W> {
     }
 }
 
+/// Powers up a bridge without a gripper and a bus. Returns it, and the settings of this start.
+///
+/// # Panics
+/// Panics when the settings are rejected.
+pub fn start(delivered: &Config, flash: &mut FlashModel) -> (Station<CanDouble>, Config) {
+    let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
+    let (station, _, config) = boot(delivered, flash, can, ResetCause::PowerOn);
+    (station, config)
+}
+
 /// Starts a bridge. Returns its two sides, and the settings of this start.
-pub(crate) fn boot(
+fn boot(
     delivered: &Config,
     flash: &mut FlashModel,
     can: CanBus<CanDouble>,

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use host_tests::fuzz_bodies::{self, Body};
+use host_tests::operation::names::*;
 
 macro_rules! smoke {
     ($($test:ident: $name:literal,)*) => {
@@ -44,6 +45,58 @@ fn every_committed_seed_passes() {
             eprintln!("{}", file.display());
             run(&fs::read(&file).unwrap());
         }
+    }
+}
+
+/// Three earlier faults, each as its seed and as the script that a failure prints.
+#[test]
+#[rustfmt::skip]
+fn printed_script_is_rust_that_plays_the_same_case() {
+    let master_restarts = vec![
+        Can(Heartbeat { of_plc: true, state: 5 }),
+        Pass(1),
+        Write(OutputImage { flags: CommandFlags::empty(), user: 0, width: 2000, speed: 5000, force_limit: 4000 }),
+        Write(OutputImage { flags: CommandFlags::MOVE, user: 0, width: 2000, speed: 5000, force_limit: 4000 }),
+        Pass(1),
+        Can(Heartbeat { of_plc: true, state: 0 }),
+        Pass(1),
+        Can(Data(0, vec![1, 16])),
+        Pass(1),
+        Write(OutputImage { flags: CommandFlags::MOVE, user: 0, width: 2000, speed: 5000, force_limit: 4000 }),
+        Pass(7),
+    ];
+    let unlocked_with_a_flag = vec![
+        Profibus { telegram: Exchange { master: 2, outputs: vec![2, 0, 7, 208, 19, 136, 15, 160] }, silence: 40, fault: Intact },
+        Pass(1),
+        Profibus { telegram: ServiceRequest { master: 2, point: 61, data: vec![64, 1, 0, 0, 85, 85, 0] }, silence: 40, fault: Intact },
+        Pass(1),
+        StartSlave { master: 2, watchdog: 20, min_tsdr: 11 },
+        Pass(1),
+        Profibus { telegram: Exchange { master: 2, outputs: vec![2, 0, 7, 208, 19, 136, 15, 160] }, silence: 40, fault: Intact },
+        Pass(33),
+    ];
+    let jog_ends_with_the_connection_that_began_it = vec![
+        Gateway(Request { master: 0, pdu: vec![16, 0, 0, 0, 4, 8, 0, 0, 7, 208, 19, 136, 15, 160], fault: Intact }),
+        Pass(4),
+        Gateway(Request { master: 0, pdu: vec![16, 0, 0, 0, 4, 8, 64, 0, 7, 208, 19, 136, 15, 160], fault: Intact }),
+        Pass(11),
+        Gateway(Request { master: 1, pdu: vec![16, 0, 0, 0, 4, 8, 64, 0, 7, 208, 19, 136, 15, 160], fault: Intact }),
+        Pass(1),
+        Gateway(Reconnect(0)),
+        Pass(7),
+    ];
+    let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+    for (body, seed, operations) in [
+        ("bridge_can", "master_restarts", master_restarts),
+        ("bridge_profibus", "unlocked_with_a_flag", unlocked_with_a_flag),
+        ("bridge_gateway", "jog_ends_with_the_connection_that_began_it", jog_ends_with_the_connection_that_began_it),
+    ] {
+        let (choice, decoded) = fuzz_bodies::decode(body, &fs::read(seeds.join(body).join(seed)).unwrap());
+        assert_eq!(decoded, operations, "{seed}");
+        for line in script(&operations).lines() {
+            assert!(include_str!("fuzz_smoke.rs").contains(line), "{line}");
+        }
+        fuzz_bodies::play(body, choice, &operations);
     }
 }
 

@@ -9,9 +9,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::Inputs;
-use wsg_bridge_fw::{Config, ResetCause};
 
 use super::watch::Watch;
 use super::{Chip, Lines, PATIENCE};
@@ -20,8 +19,7 @@ use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
 use crate::socket::{self, Socket};
-use crate::world::boot;
-use crate::world::can::CanDouble;
+use crate::world::start;
 
 /// Name in messages.
 pub(super) const LIBRARY: &str = "the bridge's library";
@@ -60,8 +58,7 @@ impl Shared {
     /// Runs the main loop until the library is switched off or the gripper's end of the line is closed.
     fn run(&self, mut line: Socket, watch: &Watch, clock: &Clock) {
         let mut flash = FlashModel::new();
-        let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
-        let (mut station, ..) = boot(&Config::DEFAULT, &mut flash, can, ResetCause::PowerOn);
+        let (mut station, _) = start(&Config::DEFAULT, &mut flash);
         let mut serial = SerialLine::with_room(usize::MAX);
         // The PLC uses wires only.
         let [mut bus, mut service] = [RtuDouble::default(), RtuDouble::default()];

@@ -9,10 +9,10 @@ use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource, WiresConfig};
 use wsg_fieldbus::OutputImage;
 use wsg_protocol::{CommandId, FrameParser, GripperState, Instant, session};
 
-use super::action::Action;
 use super::key::key;
 use super::search::Model;
 use crate::gripper_states::{Answer, GripperEvent, States, messages};
+use crate::operation::{Operation, script};
 use crate::promises::{Kept, Promise, Promises, Reach, keep};
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
@@ -50,7 +50,7 @@ const MOST_ROUNDS: u32 = QUICK_ROUNDS + 500;
 /// One state of the exploration.
 #[derive(Clone, Debug)]
 pub(super) struct Plant {
-    actions: &'static [Action],
+    actions: &'static [Operation],
     bridge: Bridge,
     modbus: Modbus,
     gripper: States,
@@ -111,7 +111,7 @@ pub(super) const SIGHTS: [Sight; 18] = [
 
 impl Plant {
     /// Creates the state after power-up with all wires low.
-    pub(super) fn switched_on(actions: &'static [Action]) -> Self {
+    pub(super) fn switched_on(actions: &'static [Operation]) -> Self {
         let mut plant = Self {
             actions,
             bridge: Bridge::new(CONFIG),
@@ -135,26 +135,27 @@ impl Plant {
     }
 
     /// Returns the state after these actions, ignoring broken promises.
-    pub(super) fn after(&self, actions: &[Action]) -> Self {
+    pub(super) fn after(&self, actions: &[Operation]) -> Self {
         let mut plant = self.clone();
         for action in actions {
-            let _ = plant.take(*action);
+            let _ = plant.take(action);
         }
         plant
     }
 
-    /// Returns a log of these actions.
-    pub(super) fn report(&self, actions: impl IntoIterator<Item = u32>) -> String {
+    /// Returns a log of these actions, and the script that repeats them.
+    pub(super) fn report(&self, actions: &[u32]) -> String {
         let mut plant = Self { story: Some(String::new()), ..self.clone() };
-        for action in actions {
+        for action in actions.iter().copied() {
             if let Err(promise) = plant.act(action) {
                 plant.log(|story| write!(story, "\n        broken: {promise:?}"));
             }
         }
-        plant.story.unwrap_or_default()
+        let script = script(actions.iter().map(|action| &self.actions[*action as usize]));
+        format!("{}\n&[\n{script}]", plant.story.unwrap_or_default())
     }
 
-    #[cfg(test)]
+    /// Returns the wires to the PLC.
     pub(super) const fn outputs(&self) -> Outputs {
         self.outputs
     }
@@ -179,41 +180,42 @@ impl Plant {
         }
     }
 
-    fn take(&mut self, action: Action) -> Kept {
+    /// Executes an operation.
+    pub(super) fn take(&mut self, action: &Operation) -> Kept {
         let ms = self.now_ms;
         self.log(|story| write!(story, "\n{ms:6} ms {action:?}"));
-        match action {
-            Action::Toggle(wire) => self.change_wires(wire),
-            Action::Change { rising, falling } => self.change_wires(rising | falling),
-            Action::Write(image) => self.write(image),
-            Action::FallSilent => self.fall_silent(),
-            Action::AnswersAll => self.deliver_all(),
-            Action::Answer => {
+        match *action {
+            Operation::Toggle(wire) => self.change_wires(wire),
+            Operation::Change { rising, falling } => self.change_wires(rising | falling),
+            Operation::Write(image) => self.write(image),
+            Operation::FallSilent => self.fall_silent(),
+            Operation::AnswersAll => self.deliver_all(),
+            Operation::Answer => {
                 let answer = self.take_answer();
                 self.deliver(answer, false)
             }
-            Action::AnswerTwice => {
+            Operation::AnswerTwice => {
                 let answer = self.answers.front_mut().map(|(answer, is_repeated)| {
                     *is_repeated = true;
                     *answer
                 });
                 self.deliver(answer, false)
             }
-            Action::AnswerLost => {
+            Operation::AnswerLost => {
                 self.take_answer();
                 self.reach.fault(self.now());
                 Ok(())
             }
-            Action::AnswerCut => {
+            Operation::AnswerCut => {
                 let answer = self.take_answer();
                 self.reach.fault(self.now());
                 self.deliver(answer, true)
             }
-            Action::AnswerWithNext => {
+            Operation::AnswerWithNext => {
                 self.with_next = self.take_answer();
                 Ok(())
             }
-            Action::ToggleLine => {
+            Operation::ToggleLine => {
                 self.is_line_up = !self.is_line_up;
                 self.reach.is_alive = self.is_line_up;
                 self.reach.recover(self.now());
@@ -221,7 +223,7 @@ impl Plant {
                 self.with_next = None;
                 Ok(())
             }
-            Action::Gripper(event) => {
+            Operation::Gripper(event) => {
                 let was_fast_stopped = self.gripper.fast_stop();
                 self.gripper.happen(event, &mut |answer| queue(&mut self.answers, answer));
                 if was_fast_stopped && !self.gripper.fast_stop() {
@@ -232,7 +234,7 @@ impl Plant {
                 }
                 Ok(())
             }
-            Action::RestartBridge => {
+            Operation::RestartBridge => {
                 self.bridge = Bridge::new(CONFIG);
                 self.modbus = Modbus::new(&CONFIG);
                 self.with_next = None;
@@ -240,7 +242,8 @@ impl Plant {
                 self.promises = Promises::new(self.now(), &CONFIG);
                 self.power_up()
             }
-            Action::Wait => self.wait(),
+            Operation::Wait => self.wait(),
+            _ => panic!("an exploration does not execute {action:?}"),
         }
     }
 
@@ -438,16 +441,19 @@ impl Model for Plant {
         let mut possible = 0;
         for (number, action) in self.actions.iter().enumerate() {
             let is_possible = match action {
-                Action::Toggle(_) | Action::ToggleLine | Action::RestartBridge | Action::Wait => true,
-                Action::Change { rising, falling } => self.wires & (*rising | *falling) == *falling,
-                Action::Write(image) => self.image != Some(*image),
-                Action::FallSilent => self.image.is_some(),
-                Action::AnswersAll | Action::Answer | Action::AnswerLost | Action::AnswerCut => {
+                Operation::Toggle(_) | Operation::ToggleLine | Operation::RestartBridge | Operation::Wait => {
+                    true
+                }
+                Operation::Change { rising, falling } => self.wires & (*rising | *falling) == *falling,
+                Operation::Write(image) => self.image != Some(*image),
+                Operation::FallSilent => self.image.is_some(),
+                Operation::AnswersAll | Operation::Answer | Operation::AnswerLost | Operation::AnswerCut => {
                     waiting.is_some()
                 }
-                Action::AnswerTwice => waiting.is_some_and(|(_, is_repeated)| !is_repeated),
-                Action::AnswerWithNext => self.with_next.is_none() && waiting.is_some(),
-                Action::Gripper(event) => self.gripper.allows(*event),
+                Operation::AnswerTwice => waiting.is_some_and(|(_, is_repeated)| !is_repeated),
+                Operation::AnswerWithNext => self.with_next.is_none() && waiting.is_some(),
+                Operation::Gripper(event) => self.gripper.allows(*event),
+                _ => false,
             };
             possible |= u32::from(is_possible) << number;
         }
@@ -455,7 +461,7 @@ impl Model for Plant {
     }
 
     fn act(&mut self, action: u32) -> Kept {
-        self.take(self.actions[action as usize])
+        self.take(&self.actions[action as usize])
     }
 
     fn key(&self) -> u64 {

@@ -17,23 +17,23 @@
 //! settings, and with broadcasts enabled on a line that is not strict.
 
 use bus_modbus::rtu::{Character, Timing};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::registers::COMMAND_KEY;
 use wsg_bridge_fw::storage::Page;
-use wsg_bridge_fw::{BusConfig, Config, ControlSource, ResetCause, Station};
-use wsg_fieldbus::CommandFlags;
+use wsg_bridge_fw::{BusConfig, Config, ControlSource, Station};
+use wsg_fieldbus::{CommandFlags, OutputImage};
 
 use super::frames::repair_checksums;
 use super::input::Input;
 use super::modbus::sealed;
-use super::tracked::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Port, Tracked};
-use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
+use super::tracked::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Tracked, timing};
+use super::whole::{self, Ends, FLAGS, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image};
 use crate::flash_model::FlashModel;
+use crate::operation::{Operation, Port, TelegramFault, Unit, image};
 use crate::promises::Promises;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
-use crate::world::boot;
 use crate::world::can::CanDouble;
+use crate::world::start;
 
 /// Recipes: width, speed, force and release width. The gripper rejects the last one.
 const RECIPES: [[u16; 4]; 4] = [
@@ -45,11 +45,11 @@ const RECIPES: [[u16; 4]; 4] = [
 
 /// Silences before a character: none, and around the two limits.
 fn silences(port: Port) -> [u32; 6] {
-    let Timing { t1_5_us, t3_5_us } = port.timing();
+    let Timing { t1_5_us, t3_5_us } = timing(port);
     [0, t1_5_us, t1_5_us + 1, t3_5_us - 1, t3_5_us, 60_000]
 }
 
-struct Model {
+pub(super) struct Model {
     station: Station<CanDouble>,
     flash: FlashModel,
     delivered: Config,
@@ -65,11 +65,12 @@ struct Model {
 /// and damaged stored settings (bit 3). Each further op is a byte with parameter bytes: wires, time, bytes on any
 /// line, gripper replies, PLC writes. Bit 7 selects the service port.
 pub fn bridge(data: &[u8]) {
-    let mut input = Input::new(data);
-    let choice = input.byte();
-    let mut model = Model::new(choice & 2 != 0, choice & 4 != 0, choice & 8 != 0);
-    model.play(choice, &mut input);
-    model.check_saved();
+    whole::run::<Model>(data);
+}
+
+/// Returns a write of registers 0 to 3.
+pub(super) fn image_pdu(image: &OutputImage) -> Vec<u8> {
+    [&[16, 0, 0, 0, 4, 8], &image.to_bytes()[..]].concat()
 }
 
 /// Returns a request that writes a setting, a recipe, BUS_RECIPE or a command, or reads settings.
@@ -89,13 +90,6 @@ pub(super) fn settings_pdu(how: u8, input: &mut Input<'_>) -> Vec<u8> {
             vec![6, 0, 200 + byte % 3, high, if byte < 0xF0 { low } else { 0 }]
         }
     }
-}
-
-/// Starts a bridge. Returns it, and the settings of this start.
-pub(super) fn start(delivered: &Config, flash: &mut FlashModel) -> (Station<CanDouble>, Config) {
-    let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
-    let (station, _, config) = boot(delivered, flash, can, ResetCause::PowerOn);
-    (station, config)
 }
 
 impl Model {
@@ -124,10 +118,14 @@ impl Model {
         }
     }
 
-    /// Returns a write of registers 0 to 3.
-    fn image_frame(&self, port: Port, flags: CommandFlags, parameters: [u16; 3]) -> Vec<u8> {
-        let head = [self.tracked.unit(port), 16, 0, 0, 0, 4, 8, flags.bits(), 0];
-        sealed(&[&head[..], &parameters.map(u16::to_be_bytes).concat()].concat())
+    /// Returns a request to this unit.
+    fn frame(&self, port: Port, unit: Unit, pdu: &[u8]) -> Vec<u8> {
+        let unit = match unit {
+            Unit::Own => self.tracked.unit(port),
+            Unit::Broadcast => BROADCAST,
+            Unit::Other => OTHER,
+        };
+        sealed(&[&[unit], pdu].concat())
     }
 
     fn line_of(&mut self, port: Port) -> &mut RtuDouble {
@@ -137,34 +135,16 @@ impl Model {
         }
     }
 
-    /// Puts a frame on a line, sometimes with a wrong bit, a damaged character or a pause.
-    fn send(&mut self, port: Port, frame: &[u8], input: &mut Input<'_>) {
-        let mut frame = frame.to_vec();
-        let trouble = input.byte();
-        let at = usize::from(input.byte()) % frame.len();
-        match trouble % 16 {
-            0 => frame[at] ^= 1 << (trouble >> 5),
-            1 => frame.truncate(at),
-            _ => {}
-        }
-        let pause = (trouble % 16 == 2).then(|| (at, input.pick(&silences(port))));
-        self.put(port, &frame, (trouble % 16 == 3).then_some(at), pause);
-        if trouble & 0x80 == 0 {
-            // Adds the silence that ends the frame; otherwise the next frame does.
-            self.pass(3);
-        }
+    /// Puts a frame on a line.
+    fn put(&mut self, port: Port, frame: &[u8], fault: TelegramFault) {
+        let silence_us = self.line_of(port).silence_us.max(timing(port).t3_5_us);
+        self.put_characters(port, &fault.characters(frame, silence_us));
     }
 
-    fn put(&mut self, port: Port, frame: &[u8], damaged_at: Option<usize>, pause: Option<(usize, u32)>) {
-        let line = self.line_of(port);
-        for (at, byte) in frame.iter().enumerate() {
-            let character = if damaged_at == Some(at) { Character::Damaged } else { Character::Byte(*byte) };
-            let silence_us = match pause {
-                Some((pause_at, silence_us)) if pause_at == at => silence_us,
-                _ if at == 0 => line.silence_us.max(port.timing().t3_5_us),
-                _ => 0,
-            };
-            line.deliver(character, silence_us);
+    fn put_characters(&mut self, port: Port, characters: &[(Option<u8>, u32)]) {
+        for (byte, silence_us) in characters {
+            let character = byte.map_or(Character::Damaged, Character::Byte);
+            self.line_of(port).deliver(character, *silence_us);
         }
     }
 
@@ -192,6 +172,9 @@ impl Model {
     }
 }
 
+/// Address of a unit that does not exist.
+const OTHER: u8 = 5;
+
 /// Maximum duration of a save in turns: an erase and a double word per four settings, in both pages.
 pub(super) const SAVE_MS: u32 = 70;
 
@@ -199,17 +182,26 @@ pub(super) const SAVE_MS: u32 = 70;
 const SLOW_DELAY_MS: u32 = 2;
 
 impl WholeBridge for Model {
+    const NAME: &'static str = "bridge";
+
+    fn start(choice: u8) -> Self {
+        Self::new(choice & 2 != 0, choice & 4 != 0, choice & 8 != 0)
+    }
+
+    fn end(mut self) {
+        self.check_saved();
+    }
+
     fn ends(&mut self) -> &mut Ends {
         &mut self.ends
     }
 
     fn write_zeros(&mut self) {
-        let zeros = self.image_frame(Port::Bus, CommandFlags::empty(), PARAMETERS[0]);
-        self.put(Port::Bus, &zeros, None, None);
+        self.execute(&Operation::Write(image(CommandFlags::empty(), PARAMETERS[0])));
         self.pass(4);
     }
 
-    fn passes_after(&self, _: u8) -> bool {
+    fn passes_after(_: u8) -> bool {
         true
     }
 
@@ -252,64 +244,78 @@ impl WholeBridge for Model {
         self.serve();
     }
 
-    fn take(&mut self, op: u8, input: &mut Input<'_>) {
+    fn decode(op: u8, input: &mut Input<'_>, script: &mut Vec<Operation>) {
         let port = if op & 0x80 == 0 { Port::Bus } else { Port::Service };
-        match op % 16 {
-            3 => {
-                self.forge(input.fewer_than(40));
-            }
+        let (unit, pdu) = match op % 16 {
+            3 => return script.push(Operation::Forge(input.fewer_than(40).to_vec())),
             4 => {
                 let mut bytes = input.fewer_than(40).to_vec();
                 repair_checksums(&mut bytes);
-                self.forge(&bytes);
+                return script.push(Operation::Forge(bytes));
             }
-            5 => self.forge_status(input),
+            5 => return script.push(pick_answer(input)),
             8 => {
-                let count = usize::from(input.byte() % 24);
-                for _ in 0..count {
-                    let character =
-                        if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
-                    self.line_of(port).deliver(character, input.pick(&silences(port)));
-                }
+                let count = input.byte() % 24;
+                let characters = (0..count).map(|_| {
+                    let byte = if input.byte() == 0xFF { None } else { Some(input.byte()) };
+                    (byte, input.pick(&silences(port)))
+                });
+                return script.push(Operation::Characters(port, characters.collect()));
             }
             9 => {
-                let unit = input.pick(&[self.tracked.unit(port), BROADCAST, 5]);
-                let frame = [&[unit], input.fewer_than(24)].concat();
-                self.send(port, &sealed(&frame), input);
+                let unit = input.pick(&[Unit::Own, Unit::Broadcast, Unit::Other]);
+                (unit, input.fewer_than(24).to_vec())
             }
-            10 => {
-                let frame = self.image_frame(port, input.pick(&FLAGS), input.pick(&PARAMETERS));
-                self.send(port, &frame, input);
-            }
+            10 => (Unit::Own, image_pdu(&pick_image(input))),
             11 => {
-                let unit = input.pick(&[self.tracked.unit(port), BROADCAST]);
-                let pdu = settings_pdu(op >> 5 & 3, input);
-                self.send(port, &sealed(&[&[unit], &pdu[..]].concat()), input);
+                let unit = input.pick(&[Unit::Own, Unit::Broadcast]);
+                (unit, settings_pdu(op >> 5 & 3, input))
             }
             12 => {
-                let unit = input.pick(&[self.tracked.unit(port), BROADCAST]);
-                let (coil, value) = (input.byte() % 66, input.pick(&[0, 0xFF, 1]));
-                self.send(port, &sealed(&[unit, 5, 0, coil, value, 0]), input);
+                let unit = input.pick(&[Unit::Own, Unit::Broadcast]);
+                (unit, coil_pdu(input))
             }
-            13 if input.byte() & 7 == 0 => {
-                let first = input.byte() & 1;
-                let frame = [self.tracked.unit(port), 3, 0, first, 0, 1 + input.byte() % 4];
-                self.send(port, &sealed(&frame), input);
-            }
-            13 => {
-                let [and, or] = [input.pick(&FLAGS).bits(), input.pick(&FLAGS).bits()];
-                let frame = [self.tracked.unit(port), 22, 0, 0, and, 0xFF, or, 0];
-                self.send(port, &sealed(&frame), input);
-            }
+            13 => (Unit::Own, flags_pdu(input)),
             _ => {
-                // An edge as a PLC writes it.
-                let parameters = input.pick(&PARAMETERS);
-                for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
-                    let frame = self.image_frame(Port::Bus, flags, parameters);
-                    self.put(Port::Bus, &frame, None, None);
-                    self.pass(4);
-                }
+                let edge = pick_edge(input).map(|image| [Operation::Write(image), Operation::Pass(4)]);
+                return script.extend(edge.into_iter().flatten());
             }
+        };
+        let (how, at) = (input.byte(), input.byte());
+        let fault = TelegramFault::of(how, at, || input.pick(&silences(port)));
+        script.push(Operation::Modbus { port, unit, pdu, fault });
+        if how & 0x80 == 0 {
+            // Adds the silence that ends the frame; otherwise the next frame does.
+            script.push(Operation::Pass(3));
         }
     }
+
+    fn execute(&mut self, operation: &Operation) {
+        match operation {
+            Operation::Write(image) => {
+                let frame = self.frame(Port::Bus, Unit::Own, &image_pdu(image));
+                self.put(Port::Bus, &frame, TelegramFault::Intact);
+            }
+            Operation::Modbus { port, unit, pdu, fault } => {
+                let frame = self.frame(*port, *unit, pdu);
+                self.put(*port, &frame, *fault);
+            }
+            Operation::Characters(port, characters) => self.put_characters(*port, characters),
+            other => whole::cannot(other),
+        }
+    }
+}
+
+/// Returns a write of a coil.
+pub(super) fn coil_pdu(input: &mut Input<'_>) -> Vec<u8> {
+    vec![5, 0, input.byte() % 66, input.pick(&[0, 0xFF, 1]), 0]
+}
+
+/// Returns a read of the image, or a change of its flags (FC 22).
+pub(super) fn flags_pdu(input: &mut Input<'_>) -> Vec<u8> {
+    if input.byte() & 7 == 0 {
+        return vec![3, 0, input.byte() & 1, 0, 1 + input.byte() % 4];
+    }
+    let [and, or] = [input.pick(&FLAGS), input.pick(&FLAGS)];
+    vec![22, 0, 0, and.bits(), 0xFF, or.bits(), 0]
 }

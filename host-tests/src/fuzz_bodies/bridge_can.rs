@@ -30,8 +30,9 @@ use super::can::frames_with;
 use super::gripper::PREAMBLE;
 use super::input::Input;
 use super::tap::Tap;
-use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
+use super::whole::{self, Ends, FLAGS, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image};
 use crate::gripper_states::Message;
+use crate::operation::{CanEvent, Operation, image};
 use crate::promises::Promises;
 use crate::world::can::{CanDouble, FRAMES_PER_MS};
 
@@ -83,6 +84,9 @@ const COB_ID: (u16, u8) = (0x1400, 1);
 const TRANSMISSION: (u16, u8) = (0x1400, 2);
 const ERROR_BEHAVIOUR: (u16, u8) = (0x1029, 1);
 
+/// A node that is not the PLC.
+const OTHER_NODE: u16 = 5;
+
 /// Maximum number of frames per turn; a turn processes more.
 const BURST: usize = 8;
 
@@ -114,7 +118,7 @@ enum BusEvent {
     Reset { whole: bool },
 }
 
-struct Model {
+pub(super) struct Model {
     bridge: Bridge,
     bus: CanBus<CanDouble>,
     double: CanDouble,
@@ -147,9 +151,7 @@ struct Model {
 /// The first byte also puts the gripper on RS-232 (bit 1). Each further op is a byte with parameter bytes: wires,
 /// time, frames, gripper replies, PLC commands, faults. Without bit 7 a millisecond passes after it.
 pub fn bridge_can(data: &[u8]) {
-    let mut input = Input::new(data);
-    let choice = input.byte();
-    Model::new(choice & 2 != 0).play(choice, &mut input);
+    whole::run::<Model>(data);
 }
 
 fn standard(id: u16) -> StandardId {
@@ -382,14 +384,14 @@ impl Model {
         self.put(ClassicFrame::new(standard(id), data));
     }
 
-    fn put_rpdo(&mut self, flags: CommandFlags, parameters: [u16; 3]) {
-        let parameters = parameters.map(u16::to_le_bytes).concat();
-        self.put_data(RPDO, &[&[flags.bits(), 0], &parameters[..]].concat());
+    fn put_rpdo(&mut self, image: &OutputImage) {
+        let [flags, user, w1, w0, s1, s0, f1, f0] = image.to_bytes();
+        self.put_data(RPDO, &[flags, user, w0, w1, s0, s1, f0, f1]);
     }
 
-    /// Delivers a message from the gripper; `what` selects a fault of its frames or bytes.
-    fn deliver_message(&mut self, message: &[u8], what: Option<u8>) {
-        let (fault, at) = what.map_or((u8::MAX, 0), |what| (what % 8, usize::from(what >> 4)));
+    /// Delivers a message from the gripper, `spoilt` in its frames or bytes.
+    fn deliver_message(&mut self, message: &[u8], spoilt: Option<u8>) {
+        let (fault, at) = spoilt.map_or((u8::MAX, 0), |how| (how % 8, usize::from(how >> 4)));
         if !self.is_on_rs_232 {
             for frame in frames_with(message, fault, at) {
                 self.put_data(FROM_GRIPPER, &frame);
@@ -408,26 +410,43 @@ impl Model {
         self.ends.line.link.deliver(&bytes);
     }
 
-    fn trouble(&mut self, input: &mut Input<'_>) {
-        self.ends.gripper.fault(self.ends.now_ms);
-        match input.byte() % 8 {
-            0 => self.double.go_off(u32::from(input.byte() % 3)),
-            1 => {
+    fn happen(&mut self, event: &CanEvent) {
+        let now_ms = self.ends.now_ms;
+        match *event {
+            CanEvent::Data(id, _) | CanEvent::Extended(id, _) | CanEvent::Remote(id, _) => {
+                if id % 0x800 == FROM_GRIPPER {
+                    self.ends.gripper.forge(now_ms, &PREAMBLE);
+                }
+            }
+            CanEvent::Message { ref bytes, .. } => self.ends.gripper.forge(now_ms, bytes),
+            CanEvent::Heartbeat { .. } => {}
+            _ => self.ends.gripper.fault(now_ms),
+        }
+        match *event {
+            CanEvent::Data(id, ref data) => self.put_data(id, data),
+            CanEvent::Extended(id, ref data) => self.put(ClassicFrame::new(extended(id), data)),
+            CanEvent::Remote(id, count) => self.put(ClassicFrame::new_remote(standard(id), count)),
+            CanEvent::Heartbeat { of_plc, state } => {
+                let node = if of_plc { self.device.master } else { OTHER_NODE };
+                self.put_data(HEARTBEAT | node, &[state]);
+            }
+            CanEvent::Message { ref bytes, spoilt } => self.deliver_message(bytes, Some(spoilt)),
+            CanEvent::BusOff(turns) => self.double.go_off(turns),
+            CanEvent::Overrun => {
                 self.double.overrun();
                 self.overrun = true;
             }
-            2 | 3 => self.double.set_unheard(input.byte() & 1 != 0),
-            4 => {
-                self.double.refuse(input.byte() & 1 != 0);
+            CanEvent::Unacknowledged(is_unheard) => self.double.set_unheard(is_unheard),
+            CanEvent::Rejects(rejects) => {
+                self.double.refuse(rejects);
                 self.is_troubled = true;
             }
-            5 => {
-                let health =
-                    Health { is_passive: true, transmit_errors: input.byte(), ..self.double.health() };
+            CanEvent::Passive(transmit_errors) => {
+                let health = Health { is_passive: true, transmit_errors, ..self.double.health() };
                 self.double.set_health(health);
             }
-            6 => self.bus.retry(Instant::from_millis(self.ends.now_ms)),
-            _ => {
+            CanEvent::Retry => self.bus.retry(Instant::from_millis(now_ms)),
+            CanEvent::Recovers => {
                 self.double.set_health(Health::default());
                 self.double.set_unheard(false);
                 self.double.refuse(false);
@@ -592,7 +611,12 @@ impl Model {
 }
 
 impl WholeBridge for Model {
+    const NAME: &'static str = "bridge_can";
     const CONNECTS_MS: u32 = 30;
+
+    fn start(choice: u8) -> Self {
+        Self::new(choice & 2 != 0)
+    }
 
     fn ends(&mut self) -> &mut Ends {
         &mut self.ends
@@ -601,11 +625,7 @@ impl WholeBridge for Model {
     fn write_zeros(&mut self) {
         self.put_data(NMT, &[0x01, NODE as u8]);
         self.pass(8);
-        self.put_rpdo(CommandFlags::empty(), PARAMETERS[0]);
-    }
-
-    fn passes_after(&self, op: u8) -> bool {
-        op & 0x80 == 0 || self.delivered.len() >= BURST
+        self.put_rpdo(&image(CommandFlags::empty(), PARAMETERS[0]));
     }
 
     fn deliver(&mut self, bytes: &[u8]) {
@@ -647,66 +667,73 @@ impl WholeBridge for Model {
         }
     }
 
-    fn take(&mut self, op: u8, input: &mut Input<'_>) {
-        match op % 16 {
+    fn decode(op: u8, input: &mut Input<'_>, script: &mut Vec<Operation>) {
+        let event = match op % 16 {
             3 => {
                 let (kind, any) = (input.byte(), u16::from_le_bytes(input.array()));
                 let id = if kind & 0x80 == 0 { input.pick(&IDS) } else { any };
                 let count = usize::from(kind % 9);
-                let frame = match kind >> 4 & 3 {
-                    0 => ClassicFrame::new_remote(standard(id), count),
-                    1 => ClassicFrame::new(extended(id), input.bytes(count)),
-                    _ => ClassicFrame::new(standard(id), input.bytes(count)),
-                };
-                if id % 0x800 == FROM_GRIPPER {
-                    self.ends.gripper.forge(self.ends.now_ms, &PREAMBLE);
+                match kind >> 4 & 3 {
+                    0 => CanEvent::Remote(id, count),
+                    1 => CanEvent::Extended(id, input.bytes(count).to_vec()),
+                    _ => CanEvent::Data(id, input.bytes(count).to_vec()),
                 }
-                self.put(frame);
             }
-            4 => self.put_rpdo(input.pick(&FLAGS), input.pick(&PARAMETERS)),
-            5 => {
-                // An edge as a PLC writes it.
-                let parameters = input.pick(&PARAMETERS);
-                self.put_rpdo(CommandFlags::empty(), parameters);
-                self.put_rpdo(input.pick(&FLAGS), parameters);
-            }
-            8 => {
-                let data = [input.pick(&NMT_COMMANDS), input.pick(&[NODE as u8, 0, 5])];
-                self.put_data(NMT, &data);
-            }
+            4 => return script.push(Operation::Write(pick_image(input))),
+            5 => return script.extend(pick_edge(input).map(Operation::Write)),
+            8 => CanEvent::Data(NMT, vec![input.pick(&NMT_COMMANDS), input.pick(&[NODE as u8, 0, 5])]),
             9 => {
-                let id = HEARTBEAT | input.pick(&[self.device.master, 5]);
-                self.put_data(id, &[input.pick(&[5, 0, 127])]);
+                let of_plc = input.pick(&[true, false]);
+                CanEvent::Heartbeat { of_plc, state: input.pick(&[5, 0, 127]) }
             }
-            10 => {
-                let (index, sub) = input.pick(&OBJECTS);
-                let ([low, high], value) = (index.to_le_bytes(), input.byte());
-                let specifier = input.pick(&[0x2B, 0x22, 0x23, 0x40, 0x2F, 0x80, 0x00]);
-                let [a, b, c, d] = match (index, sub) {
-                    MASTER => [value, 0, input.pick(&[0x7F, 5, 0]), 0],
-                    COB_ID => [NODE as u8, 0x02, 0, input.pick(&[0x80, 0x00, 0xC0, 0x20])],
-                    TRANSMISSION => [input.pick(&[1, 255, 0, 254, 252]), 0, 0, 0],
-                    ERROR_BEHAVIOUR => [value % 4, 0, 0, 0],
-                    (0x1600, 0) => [input.pick(&[0, 5, 4]), 0, 0, 0],
-                    _ => [value, 0, 0, 0],
-                };
-                self.put_data(SDO_REQUEST, &[specifier, low, high, sub, a, b, c, d]);
-            }
-            11 => self.forge_status(input),
+            10 => CanEvent::Data(SDO_REQUEST, pick_sdo(input)),
+            11 => return script.push(pick_answer(input)),
             12 => {
-                let (id, count, what) = (input.byte(), usize::from(input.byte() % 24), input.byte());
-                let message: Vec<u8> = FrameEncoder::new(id, input.bytes(count)).collect();
-                self.ends.gripper.forge(self.ends.now_ms, &message);
-                self.deliver_message(&message, Some(what));
+                let (id, count, spoilt) = (input.byte(), usize::from(input.byte() % 24), input.byte());
+                let bytes = FrameEncoder::new(id, input.bytes(count)).collect();
+                CanEvent::Message { bytes, spoilt }
             }
-            13 => self.trouble(input),
+            13 => match input.byte() % 8 {
+                0 => CanEvent::BusOff(u32::from(input.byte() % 3)),
+                1 => CanEvent::Overrun,
+                2 | 3 => CanEvent::Unacknowledged(input.byte() & 1 != 0),
+                4 => CanEvent::Rejects(input.byte() & 1 != 0),
+                5 => CanEvent::Passive(input.byte()),
+                6 => CanEvent::Retry,
+                _ => CanEvent::Recovers,
+            },
             _ => {
                 let flags = input.pick(&FLAGS).bits();
                 let count = usize::from(input.byte() % 9);
-                self.put_data(RPDO, &[flags, 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F][..count]);
+                CanEvent::Data(RPDO, [flags, 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F][..count].to_vec())
             }
+        };
+        script.push(Operation::Can(event));
+    }
+
+    fn execute(&mut self, operation: &Operation) {
+        match operation {
+            Operation::Write(image) => self.put_rpdo(image),
+            Operation::Can(event) => self.happen(event),
+            other => whole::cannot(other),
         }
     }
+}
+
+/// Returns an SDO request.
+fn pick_sdo(input: &mut Input<'_>) -> Vec<u8> {
+    let (index, sub) = input.pick(&OBJECTS);
+    let ([low, high], value) = (index.to_le_bytes(), input.byte());
+    let specifier = input.pick(&[0x2B, 0x22, 0x23, 0x40, 0x2F, 0x80, 0x00]);
+    let [a, b, c, d] = match (index, sub) {
+        MASTER => [value, 0, input.pick(&[0x7F, 5, 0]), 0],
+        COB_ID => [NODE as u8, 0x02, 0, input.pick(&[0x80, 0x00, 0xC0, 0x20])],
+        TRANSMISSION => [input.pick(&[1, 255, 0, 254, 252]), 0, 0, 0],
+        ERROR_BEHAVIOUR => [value % 4, 0, 0, 0],
+        (0x1600, 0) => [input.pick(&[0, 5, 4]), 0, 0, 0],
+        _ => [value, 0, 0, 0],
+    };
+    vec![specifier, low, high, sub, a, b, c, d]
 }
 
 fn takes_back(link: &GripperLink) -> bool {

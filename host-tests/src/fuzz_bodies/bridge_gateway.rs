@@ -18,22 +18,24 @@ use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
 use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config, ControlSource, Station};
 use wsg_fieldbus::{CommandFlags, OutputImage, SilenceReaction};
-use wsg_protocol::Instant;
+use wsg_protocol::{Instant, SystemFlags};
 
-use super::bridge::{SAVE_MS, settings_pdu, start};
+use super::bridge::{SAVE_MS, coil_pdu, flags_pdu, image_pdu, settings_pdu};
 use super::frames::repair_checksums;
 use super::input::Input;
-use super::tracked::{Done, Port, Tracked};
-use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
+use super::tracked::{Done, Tracked};
+use super::whole::{self, Ends, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image};
 use crate::flash_model::FlashModel;
+use crate::operation::{Behaviour, GatewayEvent, Operation, Port, TelegramFault, image};
 use crate::serial_gripper::SerialLine;
 use crate::world::can::CanDouble;
+use crate::world::start;
 
 /// Longest time between two turns that is not a pause, and time until the gateway connects again, in milliseconds.
 const LONGEST_PAUSE_MS: u32 = 800;
 const RETRY_MS: u32 = 250;
 
-struct Model {
+pub(super) struct Model {
     station: Station<CanDouble>,
     flash: FlashModel,
     delivered: Config,
@@ -95,25 +97,7 @@ const fn number(cyclic: usize) -> u64 {
 /// The first byte also selects turns that are 5 ms apart (bit 1), and damaged stored settings (bit 3). Each further op is a byte with
 /// parameter bytes. Bit 6 omits the time after it, and bit 7 selects the second master.
 pub fn bridge_gateway(data: &[u8]) {
-    let mut input = Input::new(data);
-    let choice = input.byte();
-    let mut model = Model::new(choice & 8 != 0);
-    if choice & 2 != 0 {
-        model.step_ms = 5;
-        // The repetitions of a query that detect the silence are sent up to a turn late, each.
-        model.ends.promises.levels.max_silence_ms += 13 * (model.step_ms - 1);
-    }
-    model.play(choice, &mut input);
-    if model.tracked.saved().is_some() {
-        model.pass(SAVE_MS);
-        let (_, found) = start(&model.delivered, &mut model.flash);
-        assert_eq!(Some(&found.record()), model.tracked.saved());
-    }
-}
-
-/// Returns a write of registers 0 to 3.
-fn image_pdu(flags: CommandFlags, parameters: [u16; 3]) -> Vec<u8> {
-    [&[16, 0, 0, 0, 4, 8, flags.bits(), 0][..], parameters.map(u16::to_be_bytes).as_flattened()].concat()
+    whole::run::<Model>(data);
 }
 
 impl Model {
@@ -144,15 +128,20 @@ impl Model {
 
     /// Ends the connection to the gripper, which may enter FAST STOP.
     fn lose_gripper(&mut self, for_ms: u32, stops_fast: bool) {
-        let now_ms = self.ends.now_ms;
-        self.restored_ms = Some(now_ms + for_ms);
-        self.ends.gripper.change(now_ms, &mut Input::new(&[if stops_fast { 0x70 } else { 0 }]));
+        self.restored_ms = Some(self.ends.now_ms + for_ms);
+        self.change_gripper(false, if stops_fast { SystemFlags::FAST_STOP } else { SystemFlags::empty() });
     }
 
     fn restore_gripper(&mut self) {
         self.restored_ms = None;
-        self.ends.gripper.change(self.ends.now_ms, &mut Input::new(&[1]));
+        self.change_gripper(true, SystemFlags::empty());
         self.ends.line.link = SerialLine::with_room(usize::MAX);
+    }
+
+    fn change_gripper(&mut self, answers: bool, further: SystemFlags) {
+        let flags = SystemFlags::REFERENCED | further;
+        let behaviour = Behaviour { answers, deliveries: vec![], flags, has_part: true, is_disturbed: false };
+        self.ends.gripper.change(self.ends.now_ms, &behaviour);
     }
 
     /// Ends the connection of a master, which connects again.
@@ -166,18 +155,6 @@ impl Model {
             self.plc.jogger = None;
             self.run(Event::JogEnded);
         }
-    }
-
-    /// Sends a request, sometimes with a wrong bit or truncated.
-    fn send(&mut self, master: usize, mut pdu: Vec<u8>, input: &mut Input<'_>) {
-        let trouble = input.byte();
-        let at = usize::from(input.byte()) % pdu.len();
-        match trouble % 16 {
-            0 => pdu[at] ^= 1 << (trouble >> 5),
-            1 => pdu.truncate(at.max(1)),
-            _ => {}
-        }
-        self.run(Event::Request(self.masters[master], &pdu));
     }
 
     /// Runs a turn.
@@ -264,18 +241,38 @@ impl Model {
 }
 
 impl WholeBridge for Model {
+    const NAME: &'static str = "bridge_gateway";
+
+    fn start(choice: u8) -> Self {
+        let mut model = Self::new(choice & 8 != 0);
+        if choice & 2 != 0 {
+            model.step_ms = 5;
+            // The repetitions of a query that detect the silence are sent up to a turn late, each.
+            model.ends.promises.levels.max_silence_ms += 13 * (model.step_ms - 1);
+        }
+        model
+    }
+
+    fn end(mut self) {
+        if self.tracked.saved().is_some() {
+            self.pass(SAVE_MS);
+            let (_, found) = start(&self.delivered, &mut self.flash);
+            assert_eq!(Some(&found.record()), self.tracked.saved());
+        }
+    }
+
     fn ends(&mut self) -> &mut Ends {
         &mut self.ends
     }
 
     fn write_zeros(&mut self) {
         for flags in [CommandFlags::empty(), CommandFlags::STOP_ACK, CommandFlags::empty()] {
-            self.run(Event::Request(self.masters[0], &image_pdu(flags, PARAMETERS[0])));
+            self.execute(&Operation::Write(image(flags, PARAMETERS[0])));
             self.pass(4);
         }
     }
 
-    fn passes_after(&self, op: u8) -> bool {
+    fn passes_after(op: u8) -> bool {
         op & 0x40 == 0
     }
 
@@ -284,67 +281,85 @@ impl WholeBridge for Model {
         self.run(Event::Nothing);
     }
 
-    fn take(&mut self, op: u8, input: &mut Input<'_>) {
+    fn decode(op: u8, input: &mut Input<'_>, script: &mut Vec<Operation>) {
         let master = usize::from(op >> 7);
+        let request = |pdu, fault| Operation::Gateway(GatewayEvent::Request { master, pdu, fault });
         let pdu = match op % 16 {
-            3 => return self.forge(input.fewer_than(40)),
+            3 => return script.push(Operation::Forge(input.fewer_than(40).to_vec())),
             4 => {
                 let mut bytes = input.fewer_than(40).to_vec();
                 repair_checksums(&mut bytes);
-                return self.forge(&bytes);
+                return script.push(Operation::Forge(bytes));
             }
-            5 => return self.forge_status(input),
+            5 => return script.push(pick_answer(input)),
             8 => {
                 let how = input.byte();
                 let ms = 3 * u32::from(input.byte());
-                match how % 4 {
-                    0 => {
-                        self.ends.now_ms += LONGEST_PAUSE_MS + ms;
-                        self.run(Event::Paused);
-                    }
-                    // The next turn is late, which delays the repetitions of a query. It sends a whole burst of FAST STOPs, which one
-                    // fault can lose.
-                    1 => {
-                        self.ends.now_ms += ms;
-                        self.ends.promises.levels.max_silence_ms += ms;
-                        self.ends.gripper.reach.recover(Instant::from_millis(self.ends.now_ms));
-                    }
-                    2 => self.lose_gripper(ms, how & 4 != 0),
-                    _ => self.disconnect(master),
-                }
-                return;
+                return script.push(Operation::Gateway(match how % 4 {
+                    0 => GatewayEvent::ComputerPauses(ms),
+                    1 => GatewayEvent::LateTurn(ms),
+                    2 => GatewayEvent::LoseGripper { for_ms: ms, stops_fast: how & 4 != 0 },
+                    _ => GatewayEvent::Reconnect(master),
+                }));
             }
             9 => [&[input.byte()], input.fewer_than(24)].concat(),
-            10 if op & 0x20 != 0 => {
-                self.cyclic[master] = None;
-                return self.run(Event::Left(master));
-            }
+            10 if op & 0x20 != 0 => return script.push(Operation::Gateway(GatewayEvent::Leave(master))),
             10 if op & 0x10 != 0 => {
-                let flags = input.pick(&FLAGS);
-                let [width, speed, force_limit] = input.pick(&PARAMETERS);
-                let (width, force_limit) = (width as i16, force_limit as i16);
-                let image = OutputImage { flags, user: 0, width, speed, force_limit };
-                let before = self.cyclic[master].replace(image);
-                return self.run(Event::Image(master, image, before));
+                let image = pick_image(input);
+                return script.push(Operation::Gateway(GatewayEvent::Image(master, image)));
             }
-            10 => image_pdu(input.pick(&FLAGS), input.pick(&PARAMETERS)),
+            10 => image_pdu(&pick_image(input)),
             11 => settings_pdu(op >> 4 & 3, input),
-            12 => vec![5, 0, input.byte() % 66, input.pick(&[0, 0xFF, 1]), 0],
-            13 if input.byte() & 7 == 0 => vec![3, 0, input.byte() & 1, 0, 1 + input.byte() % 4],
-            13 => {
-                let [and, or] = [input.pick(&FLAGS), input.pick(&FLAGS)];
-                vec![22, 0, 0, and.bits(), 0xFF, or.bits(), 0]
-            }
+            12 => coil_pdu(input),
+            13 => flags_pdu(input),
             _ => {
-                // An edge as a PLC writes it.
-                let parameters = input.pick(&PARAMETERS);
-                for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
-                    self.run(Event::Request(self.masters[master], &image_pdu(flags, parameters)));
-                    self.pass(4);
-                }
-                return;
+                let edge = pick_edge(input)
+                    .map(|image| [request(image_pdu(&image), TelegramFault::Intact), Operation::Pass(4)]);
+                return script.extend(edge.into_iter().flatten());
             }
         };
-        self.send(master, pdu, input);
+        let (how, at) = (input.byte(), usize::from(input.byte()));
+        let fault = match how % 16 {
+            0 => TelegramFault::Flip { at, bit: how >> 5 },
+            1 if pdu.len() > 1 => TelegramFault::Truncate { at: (at % pdu.len()).max(1) },
+            _ => TelegramFault::Intact,
+        };
+        script.push(request(pdu, fault));
+    }
+
+    fn execute(&mut self, operation: &Operation) {
+        let event = match operation {
+            Operation::Write(image) => {
+                return self.run(Event::Request(self.masters[0], &image_pdu(image)));
+            }
+            Operation::Gateway(event) => event,
+            other => whole::cannot(other),
+        };
+        match *event {
+            GatewayEvent::Request { master, ref pdu, fault } => {
+                let bytes = fault.characters(pdu, 0).into_iter().filter_map(|(byte, _)| byte);
+                self.run(Event::Request(self.masters[master], &bytes.collect::<Vec<u8>>()));
+            }
+            GatewayEvent::Reconnect(master) => self.disconnect(master),
+            GatewayEvent::Image(master, image) => {
+                let before = self.cyclic[master].replace(image);
+                self.run(Event::Image(master, image, before));
+            }
+            GatewayEvent::Leave(master) => {
+                self.cyclic[master] = None;
+                self.run(Event::Left(master));
+            }
+            GatewayEvent::ComputerPauses(ms) => {
+                self.ends.now_ms += LONGEST_PAUSE_MS + ms;
+                self.run(Event::Paused);
+            }
+            GatewayEvent::LateTurn(ms) => {
+                // Delays the repetitions of a query, and sends a whole burst of FAST STOPs, which one fault can lose.
+                self.ends.now_ms += ms;
+                self.ends.promises.levels.max_silence_ms += ms;
+                self.ends.gripper.reach.recover(Instant::from_millis(self.ends.now_ms));
+            }
+            GatewayEvent::LoseGripper { for_ms, stops_fast } => self.lose_gripper(for_ms, stops_fast),
+        }
     }
 }

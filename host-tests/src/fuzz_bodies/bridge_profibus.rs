@@ -23,7 +23,8 @@ use wsg_protocol::{Instant, SystemFlags};
 
 use super::input::Input;
 use super::profibus::framed;
-use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
+use super::whole::{self, Ends, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image};
+use crate::operation::{Operation, Port, Telegram, TelegramFault, image};
 use crate::world::profibus::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
@@ -58,7 +59,7 @@ struct Answer {
     sent: usize,
 }
 
-struct Model {
+pub(super) struct Model {
     bridge: Bridge,
     profibus: Profibus,
     handler: DpResponder,
@@ -93,18 +94,7 @@ struct Model {
 /// The first byte also enables the transceiver's echo (bit 1). Each further op is a byte with parameter bytes: wires,
 /// time, gripper, telegrams. Without bit 7 a millisecond passes after it.
 pub fn bridge_profibus(data: &[u8]) {
-    let mut input = Input::new(data);
-    let choice = input.byte();
-    let mut model = Model::new(choice & 2 != 0);
-    model.play(choice, &mut input);
-    // Empties the buffers for the next case.
-    while !model.done.is_empty() || model.answer.is_some() || model.inputs.is_some() {
-        model.pass(1);
-    }
-}
-
-fn image(flags: CommandFlags, [width, speed, force_limit]: [u16; 3]) -> OutputImage {
-    OutputImage { flags, user: 0, width: width as i16, speed, force_limit: force_limit as i16 }
+    whole::run::<Model>(data);
 }
 
 impl Model {
@@ -144,13 +134,12 @@ impl Model {
     }
 
     /// Sends configuration and parameters. `watchdog` is in units of 10 ms; 0 disables it.
-    fn start(&mut self, master: u8, watchdog: u8, min_tsdr: u8) {
+    fn start_slave(&mut self, master: u8, watchdog: u8, min_tsdr: u8) {
         let status = if watchdog == 0 { 0x80 } else { 0x88 };
         let prm = [status, 1, watchdog, min_tsdr, 0x55, 0x55, 0x01];
         for (point, data) in [(SET_PRM, &prm[..]), (CHK_CFG, PROFILE.config)] {
             let code = self.next();
-            let telegram = sd2(&[&[STATION | 0x80, master | 0x80, code, point, 62], data].concat());
-            self.put(&telegram);
+            self.put(sd2(&[&[STATION | 0x80, master | 0x80, code, point, 62], data].concat()));
             // Waits for the answer as a master does.
             self.pass_us(255 * BIT_US + 2 * CHARACTER_US);
         }
@@ -167,48 +156,28 @@ impl Model {
         framed(&[&[STATION, master, self.next()], outputs].concat(), 0)
     }
 
-    /// Returns a service request from a master.
-    fn service(&mut self, input: &mut Input<'_>) -> Vec<u8> {
-        let (point, data) = match input.byte() % 8 {
-            0 => {
-                let status = input.pick(&[0x88, 0x80, 0x40, 0x00, 0xA8, 0xB8]);
-                let ident = input.pick(&[0x55, 0x55, 0x56]);
-                (SET_PRM, vec![status, 1, input.byte(), input.byte(), 0x55, ident, input.pick(&[0, 1])])
-            }
-            1 => (CHK_CFG, input.pick(&[&[0xA7, 0x9B][..], &[0xA7, 0x9C], &[0xA7]]).to_vec()),
-            2 => (SET_SLAVE_ADDRESS, vec![9, 0x55, 0x55, 0]),
-            3 => (input.byte(), input.bytes(3).to_vec()),
-            _ => (input.pick(&[SLAVE_DIAG, RD_INP, RD_OUTP, GET_CFG]), vec![]),
-        };
-        let head = [STATION | 0x80, input.pick(&MASTERS) | 0x80, self.next(), point, 62];
-        sd2(&[&head[..], &data].concat())
-    }
-
-    /// Sends a telegram after a silence, sometimes with a wrong bit, a damaged character or a pause.
-    fn send(&mut self, telegram: &[u8], input: &mut Input<'_>) {
-        self.last = telegram.to_vec();
-        let mut telegram = telegram.to_vec();
-        let (trouble, silence_bits) = (input.byte(), input.pick(&SILENCES));
-        let at = usize::from(input.byte()) % telegram.len();
-        match trouble % 16 {
-            0 => telegram[at] ^= 1 << (trouble >> 5),
-            1 => telegram.truncate(at),
-            _ => {}
-        }
-        for (place, byte) in telegram.iter().enumerate() {
-            let is_damaged = trouble % 16 == 2 && place == at;
-            let character = if is_damaged { Character::Damaged } else { Character::Byte(*byte) };
-            let pauses = trouble % 16 == 3 && place == at;
-            let silence_bits = if place == 0 { silence_bits } else { u32::from(pauses) * SILENCES[0] };
-            self.receive(character, silence_bits);
-        }
-    }
-
     /// Sends a telegram without faults.
-    fn put(&mut self, telegram: &[u8]) {
-        self.last = telegram.to_vec();
-        for (place, byte) in telegram.iter().enumerate() {
-            self.receive(Character::Byte(*byte), if place == 0 { SILENCES[0] } else { 0 });
+    fn put(&mut self, telegram: Vec<u8>) {
+        self.send(&Telegram::Raw(telegram), SILENCES[0], TelegramFault::Intact);
+    }
+
+    /// Sends a telegram after a silence.
+    fn send(&mut self, telegram: &Telegram, silence_bits: u32, fault: TelegramFault) {
+        match telegram {
+            Telegram::Exchange { master, outputs } => self.last = self.exchange(*master, outputs),
+            Telegram::ServiceRequest { master, point, data } => {
+                let head = [STATION | 0x80, master | 0x80, self.next(), *point, 62];
+                self.last = sd2(&[&head, &data[..]].concat());
+            }
+            Telegram::Repetition => {}
+            Telegram::Raw(bytes) => self.last.clone_from(bytes),
+        }
+        self.receive_all(&fault.characters(&self.last, silence_bits));
+    }
+
+    fn receive_all(&mut self, characters: &[(Option<u8>, u32)]) {
+        for (byte, silence_bits) in characters {
+            self.receive(byte.map_or(Character::Damaged, Character::Byte), *silence_bits);
         }
     }
 
@@ -370,15 +339,27 @@ impl Model {
 }
 
 impl WholeBridge for Model {
+    const NAME: &'static str = "bridge_profibus";
+
+    fn start(choice: u8) -> Self {
+        Self::new(choice & 2 != 0)
+    }
+
+    /// Empties the buffers for the next case.
+    fn end(mut self) {
+        while !self.done.is_empty() || self.answer.is_some() || self.inputs.is_some() {
+            self.pass(1);
+        }
+    }
+
     fn ends(&mut self) -> &mut Ends {
         &mut self.ends
     }
 
     fn write_zeros(&mut self) {
         self.pass(4);
-        self.start(MASTERS[0], 200, 11);
-        let zeros = self.exchange(MASTERS[0], &image(CommandFlags::empty(), PARAMETERS[0]).to_bytes());
-        self.put(&zeros);
+        self.start_slave(MASTERS[0], 200, 11);
+        self.execute(&Operation::Write(image(CommandFlags::empty(), PARAMETERS[0])));
         self.pass(2);
         assert!(self.commands);
     }
@@ -412,64 +393,89 @@ impl WholeBridge for Model {
         self.pass_us(ms * 1_000);
     }
 
-    fn take(&mut self, op: u8, input: &mut Input<'_>) {
-        match op % 16 {
-            3 => {
-                self.forge(input.fewer_than(40));
-            }
-            4 => self.forge_status(input),
+    fn decode(op: u8, input: &mut Input<'_>, script: &mut Vec<Operation>) {
+        let telegram = match op % 16 {
+            3 => return script.push(Operation::Forge(input.fewer_than(40).to_vec())),
+            4 => return script.push(pick_answer(input)),
             5 => {
-                let count = usize::from(input.byte() % 24);
-                for _ in 0..count {
-                    let character =
-                        if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
-                    self.receive(character, input.pick(&[0, 0, 0, 20, 40]));
-                }
+                let count = input.byte() % 24;
+                let characters = (0..count).map(|_| {
+                    let byte = if input.byte() == 0xFF { None } else { Some(input.byte()) };
+                    (byte, input.pick(&[0, 0, 0, 20, 40]))
+                });
+                return script.push(Operation::Characters(Port::Bus, characters.collect()));
             }
             8 => {
-                let image = image(input.pick(&FLAGS), input.pick(&PARAMETERS));
-                let telegram = self.exchange(input.pick(&MASTERS), &image.to_bytes());
-                self.send(&telegram, input);
+                let outputs = pick_image(input).to_bytes().to_vec();
+                Telegram::Exchange { master: input.pick(&MASTERS), outputs }
             }
             9 => {
-                // An edge as a PLC writes it.
-                let parameters = input.pick(&PARAMETERS);
-                for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
-                    let telegram = self.exchange(MASTERS[0], &image(flags, parameters).to_bytes());
-                    self.put(&telegram);
-                    self.pass(2);
-                }
+                let edge = pick_edge(input).map(|image| [Operation::Write(image), Operation::Pass(2)]);
+                return script.extend(edge.into_iter().flatten());
             }
             10 => {
                 let watchdog = input.byte();
-                self.start(input.pick(&MASTERS), watchdog, input.byte());
+                let (master, min_tsdr) = (input.pick(&MASTERS), input.byte());
+                return script.push(Operation::StartSlave { master, watchdog, min_tsdr });
             }
             11 => {
-                let telegram = self.service(input);
-                self.send(&telegram, input);
+                let (point, data) = pick_service(input);
+                Telegram::ServiceRequest { master: input.pick(&MASTERS), point, data }
             }
             12 => {
                 // Clear, Sync, Freeze and unknown commands; to all, to this slave, to groups.
                 let to = input.pick(&[BROADCAST, BROADCAST, STATION]) | 0x80;
                 let control = [input.pick(&[0x02, 0x02, 0x20, 0x08, 0x00, 0xFF]), input.pick(&[0, 0, 1, 2])];
-                let body =
-                    [to, input.pick(&MASTERS) | 0x80, 0x46, GLOBAL_CONTROL, 62, control[0], control[1]];
-                self.send(&sd2(&body), input);
+                let head = [to, input.pick(&MASTERS) | 0x80, 0x46, GLOBAL_CONTROL, 62];
+                Telegram::Raw(sd2(&[&head[..], &control].concat()))
             }
-            13 => {
-                // A repetition, missing outputs (Fail_Safe), or too few outputs.
-                let telegram = match input.byte() % 3 {
-                    0 if !self.last.is_empty() => self.last.clone(),
-                    1 => self.exchange(input.pick(&MASTERS), &[]),
-                    _ => self.exchange(input.pick(&MASTERS), &[input.byte(); 7]),
-                };
-                self.send(&telegram, input);
-            }
+            13 => match input.byte() % 3 {
+                0 => Telegram::Repetition,
+                // Missing outputs (Fail_Safe), and too few.
+                1 => Telegram::Exchange { master: input.pick(&MASTERS), outputs: vec![] },
+                _ => Telegram::Exchange { master: input.pick(&MASTERS), outputs: vec![input.byte(); 7] },
+            },
             _ => {
                 let body = [STATION, input.pick(&MASTERS), input.pick(&[0x49, 0x4C, 0x43, 0x4E])];
-                self.put(&sd1(&body));
+                let (telegram, fault) = (Telegram::Raw(sd1(&body)), TelegramFault::Intact);
+                return script.push(Operation::Profibus { telegram, silence: SILENCES[0], fault });
             }
+        };
+        let (how, silence, at) = (input.byte(), input.pick(&SILENCES), input.byte());
+        // The order of the committed seeds.
+        let how = if matches!(how % 16, 2 | 3) { how ^ 1 } else { how };
+        let fault = TelegramFault::of(how, at, || SILENCES[0]);
+        script.push(Operation::Profibus { telegram, silence, fault });
+    }
+
+    fn execute(&mut self, operation: &Operation) {
+        match operation {
+            Operation::Write(image) => {
+                let telegram = self.exchange(MASTERS[0], &image.to_bytes());
+                self.put(telegram);
+            }
+            Operation::Characters(Port::Bus, characters) => self.receive_all(characters),
+            Operation::Profibus { telegram, silence, fault } => self.send(telegram, *silence, *fault),
+            Operation::StartSlave { master, watchdog, min_tsdr } => {
+                self.start_slave(*master, *watchdog, *min_tsdr);
+            }
+            other => whole::cannot(other),
         }
+    }
+}
+
+/// Returns a service access point, and data for it.
+fn pick_service(input: &mut Input<'_>) -> (u8, Vec<u8>) {
+    match input.byte() % 8 {
+        0 => {
+            let status = input.pick(&[0x88, 0x80, 0x40, 0x00, 0xA8, 0xB8]);
+            let ident = input.pick(&[0x55, 0x55, 0x56]);
+            (SET_PRM, vec![status, 1, input.byte(), input.byte(), 0x55, ident, input.pick(&[0, 1])])
+        }
+        1 => (CHK_CFG, input.pick(&[&[0xA7, 0x9B][..], &[0xA7, 0x9C], &[0xA7]]).to_vec()),
+        2 => (SET_SLAVE_ADDRESS, vec![9, 0x55, 0x55, 0]),
+        3 => (input.byte(), input.bytes(3).to_vec()),
+        _ => (input.pick(&[SLAVE_DIAG, RD_INP, RD_OUTP, GET_CFG]), vec![]),
     }
 }
 

@@ -6,6 +6,7 @@ use wsg_protocol::{CommandId, GripperState, Instant, Status, SystemFlags};
 
 use super::input::Input;
 use crate::gripper_states::{Answer, GripperEvent, Message, States};
+use crate::operation::{Behaviour, Delivery};
 use crate::promises::Reach;
 
 /// Start of every message.
@@ -16,30 +17,23 @@ pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
     Answer::status(id, status).bytes().collect()
 }
 
-/// Delivery of a command and its answer.
-#[derive(Clone, Copy)]
-enum Delivery {
-    /// Executed, and answered after this many milliseconds.
-    Late(u32),
-    /// Answered at once, and again after this many milliseconds.
-    Twice(u32),
-    /// Executed without an answer.
-    Unanswered,
-    Refused,
-    /// Lost, together with all following bytes until this many have been received or the frame times out.
-    Unheard(u32),
+fn delivery(byte: &u8) -> Delivery {
+    match byte {
+        0..=200 => Delivery::Late((*byte).into()),
+        201..=223 => Delivery::Twice(u32::from(byte - 200) * 9),
+        224..=235 => Delivery::Unanswered,
+        236..=239 => Delivery::Refused,
+        _ => Delivery::Unheard(u32::from(byte - 240) * 68),
+    }
 }
 
-impl Delivery {
-    fn of(byte: u8) -> Self {
-        match byte {
-            0..=200 => Self::Late(byte.into()),
-            201..=223 => Self::Twice(u32::from(byte - 200) * 9),
-            224..=235 => Self::Unanswered,
-            236..=239 => Self::Refused,
-            _ => Self::Unheard(u32::from(byte - 240) * 68),
-        }
-    }
+/// Decodes a behaviour: whether the gripper answers (bit 0), the number of delivery bytes that follow (bits 1 to 3), its condition
+/// (bits 4 to 6; 2 is a restart), and a disturbance (bit 7).
+pub(super) fn behaviour(input: &mut Input<'_>) -> Behaviour {
+    let how = input.byte();
+    let deliveries = input.bytes(usize::from(how >> 1 & 7)).iter().map(delivery).collect();
+    let (flags, has_part) = CONDITIONS[usize::from(how >> 4 & 7)];
+    Behaviour { answers: how & 1 != 0, deliveries, flags, has_part, is_disturbed: how & 0x80 != 0 }
 }
 
 /// Time-out of the gripper for an incomplete frame, in milliseconds.
@@ -63,8 +57,8 @@ const CONDITIONS: [(SystemFlags, bool); 8] = [
 /// A gripper that executes its commands.
 pub(super) struct Gripper {
     pub(super) reach: Reach,
-    /// Delivery of successive commands and answers; the last one applies to the rest. Empty means at once.
-    deliveries: Vec<u8>,
+    /// See [`Behaviour`].
+    deliveries: Vec<Delivery>,
     delivered: usize,
     /// Answers and reports in transit, with their times of arrival.
     on_the_way: Vec<(u32, Answer)>,
@@ -109,23 +103,20 @@ impl Gripper {
         self.deliveries.clear();
     }
 
-    /// Changes the gripper according to a byte: whether it answers (bit 0), the number of delivery bytes that follow
-    /// (bits 1 to 3), and its condition (bits 4 to 6; 2 is a restart). Bit 7 loses the part, or a third party acts: it
-    /// stops a motion or starts one. In the condition FAST STOP it is a third party's acknowledgement.
-    pub(super) fn change(&mut self, now_ms: u32, input: &mut Input<'_>) {
-        let how = input.byte();
-        let was_alive = std::mem::replace(&mut self.reach.is_alive, how & 1 != 0);
+    /// Behaves differently from now on.
+    pub(super) fn change(&mut self, now_ms: u32, behaviour: &Behaviour) {
+        let Behaviour { answers, ref deliveries, flags, has_part, is_disturbed } = *behaviour;
+        let was_alive = std::mem::replace(&mut self.reach.is_alive, answers);
         if self.reach.is_alive && !was_alive {
             self.reach.recover(Instant::from_millis(now_ms));
         }
-        self.deliveries = input.bytes(usize::from(how >> 1 & 7)).to_vec();
+        self.deliveries.clone_from(deliveries);
         self.delivered = 0;
-        let (flags, has_part) = CONDITIONS[usize::from(how >> 4 & 7)];
         self.has_part = has_part;
         let states = &mut self.states;
         let was_fast_stopped = states.fast_stop();
         let (is_fast_stopped, is_restarted) = (flags.contains(SystemFlags::FAST_STOP), flags.is_empty());
-        let is_acknowledged = is_fast_stopped && how & 0x80 != 0;
+        let is_acknowledged = is_fast_stopped && is_disturbed;
         let mut answers = vec![];
         let mut send = |answer: Answer| answers.push(answer);
         states.flags = flags | states.flags & SystemFlags::FAST_STOP;
@@ -142,7 +133,7 @@ impl Gripper {
         if (is_restarted || is_acknowledged) && was_fast_stopped {
             self.reach.leave_fast_stop(Instant::from_millis(now_ms));
         }
-        if how & 0x80 != 0 {
+        if is_disturbed {
             if states.state == GripperState::Holding {
                 states.happen(GripperEvent::LosesPart, &mut send);
             } else if states.motion.is_some() {
@@ -241,9 +232,9 @@ impl Gripper {
     }
 
     fn delivery(&mut self) -> Delivery {
-        let byte = self.deliveries.get(self.delivered).or(self.deliveries.last());
+        let delivery = self.deliveries.get(self.delivered).or(self.deliveries.last());
         self.delivered += 1;
-        Delivery::of(byte.copied().unwrap_or(0))
+        delivery.copied().unwrap_or(Delivery::Late(0))
     }
 
     /// Queues answers; they never overtake each other.

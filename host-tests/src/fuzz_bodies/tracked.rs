@@ -10,6 +10,7 @@ use wsg_bridge_fw::{RECIPE_COUNT, Recipe};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 
 use super::rtu_line::{Requests, Way};
+use crate::operation::Port;
 use crate::promises::Promises;
 use crate::rtu_double::Event;
 
@@ -43,19 +44,10 @@ const LISTEN_ONLY: [u8; 5] = [8, 0, 4, 0, 0];
 
 const ILLEGAL_FUNCTION: u8 = 1;
 
-/// A Modbus RTU line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Port {
-    Bus,
-    Service,
-}
-
-impl Port {
-    pub(super) const fn timing(self) -> Timing {
-        match self {
-            Self::Bus => BUS_TIMING,
-            Self::Service => SERVICE_TIMING,
-        }
+pub(super) const fn timing(port: Port) -> Timing {
+    match port {
+        Port::Bus => BUS_TIMING,
+        Port::Service => SERVICE_TIMING,
     }
 }
 

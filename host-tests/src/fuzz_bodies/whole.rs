@@ -1,16 +1,19 @@
-//! Common parts of the whole-bridge bodies: wires, the gripper's end, the promises, and the loop that plays a case.
+//! Common parts of the whole-bridge bodies: wires, the gripper's end, the promises, and the loop that plays a script.
 //!
 //! Each body adds the bridge, its PLC bus, and what the bus requests.
 
+use std::thread;
+
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config};
-use wsg_fieldbus::CommandFlags;
+use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{CommandId, Instant, Status};
 
 use super::gripper::{self, Gripper};
 use super::input::Input;
 use super::tap::Tap;
 use crate::gripper_states::Message;
+use crate::operation::{Operation, image, script};
 use crate::promises::{Kept, Promises};
 use crate::serial_gripper::SerialLine;
 use crate::world::IDLE;
@@ -36,6 +39,25 @@ pub(super) const FLAGS: [CommandFlags; 12] = [
 /// WIDTH, SPEED and FORCELIMIT: two valid sets and one that the gripper rejects.
 pub(super) const PARAMETERS: [[u16; 3]; 3] =
     [[20_00, 50_00, 40_00], [50_00, 100_00, 40_00], [20_00, 1, 40_00]];
+
+/// Decodes an image.
+pub(super) fn pick_image(input: &mut Input<'_>) -> OutputImage {
+    let flags = input.pick(&FLAGS);
+    image(flags, input.pick(&PARAMETERS))
+}
+
+/// Decodes an edge as a PLC writes it: an image without flags, and one with flags.
+pub(super) fn pick_edge(input: &mut Input<'_>) -> [OutputImage; 2] {
+    let parameters = input.pick(&PARAMETERS);
+    [CommandFlags::empty(), input.pick(&FLAGS)].map(|flags| image(flags, parameters))
+}
+
+/// Decodes a forged answer.
+pub(super) fn pick_answer(input: &mut Input<'_>) -> Operation {
+    let statuses = [Status::Success, Status::CmdPending, Status::CmdFailed, Status::AccessDenied];
+    let status = input.pick(&statuses);
+    Operation::Forge(gripper::status(input.pick(CommandId::ALL), status))
+}
 
 /// Outputs of a bridge that rejects the stored settings.
 const REFUSED: Outputs = IDLE.difference(Outputs::READY).union(Outputs::ERROR);
@@ -111,20 +133,32 @@ impl Ends {
 }
 
 /// A bridge with its lines and a PLC.
-pub(super) trait WholeBridge {
+pub(super) trait WholeBridge: Sized {
+    /// Name of the body.
+    const NAME: &'static str;
+
     /// Time until the bridge is connected, in milliseconds.
     const CONNECTS_MS: u32 = 12;
+
+    /// Creates the state at power-up that the first byte of an input selects.
+    fn start(choice: u8) -> Self;
 
     fn ends(&mut self) -> &mut Ends;
 
     /// Writes zeros as the PLC on the bus, with any required preparation. STOP_ACK is high meanwhile.
     fn write_zeros(&mut self);
 
-    /// Executes an op specific to this body.
-    fn take(&mut self, op: u8, input: &mut Input<'_>);
+    /// Appends the operations of an op specific to this body.
+    fn decode(op: u8, input: &mut Input<'_>, script: &mut Vec<Operation>);
+
+    /// Executes an operation specific to this body.
+    fn execute(&mut self, operation: &Operation);
 
     /// Runs one turn of the main loop, a millisecond after the previous one.
     fn turn(&mut self);
+
+    /// Ends a case.
+    fn end(self) {}
 
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
@@ -136,27 +170,13 @@ pub(super) trait WholeBridge {
     }
 
     /// Returns whether a millisecond passes after this op.
-    fn passes_after(&self, op: u8) -> bool {
+    fn passes_after(op: u8) -> bool {
         op & 0x80 == 0
     }
 
     /// Delivers bytes from the gripper to the bridge.
     fn deliver(&mut self, bytes: &[u8]) {
         self.ends().line.link.deliver(bytes);
-    }
-
-    /// Delivers forged bytes to the bridge.
-    fn forge(&mut self, bytes: &[u8]) {
-        let Ends { now_ms, gripper, .. } = self.ends();
-        gripper.forge(*now_ms, bytes);
-        self.deliver(bytes);
-    }
-
-    /// Delivers a forged answer to the bridge.
-    fn forge_status(&mut self, input: &mut Input<'_>) {
-        let statuses = [Status::Success, Status::CmdPending, Status::CmdFailed, Status::AccessDenied];
-        let status = input.pick(&statuses);
-        self.forge(&gripper::status(input.pick(CommandId::ALL), status));
     }
 
     /// Establishes the usual initial state: connected, FAST STOP acknowledged, zeros written over the bus.
@@ -171,32 +191,93 @@ pub(super) trait WholeBridge {
         let Promises { requests, levels, .. } = &self.ends().promises;
         assert_eq!(levels.outputs, if requests.refuses { REFUSED } else { IDLE });
     }
+}
 
-    /// Plays a case. The first byte selects a ready bridge (bit 0) and moving fingers at power-up (bit 4).
-    fn play(&mut self, choice: u8, input: &mut Input<'_>) {
-        if choice & 16 != 0 {
-            self.ends().gripper.run();
+/// Decodes an input and plays it.
+pub(super) fn run<B: WholeBridge>(data: &[u8]) {
+    let (choice, script) = decode::<B>(data);
+    play::<B>(choice, &script);
+}
+
+/// Decodes an input: the byte that selects the start, and the script.
+pub(super) fn decode<B: WholeBridge>(data: &[u8]) -> (u8, Vec<Operation>) {
+    let mut input = Input::new(data);
+    let choice = input.byte();
+    let mut script = Vec::new();
+    while !input.is_empty() {
+        let op = input.byte();
+        match op % 16 {
+            0 | 1 => script.push(Operation::Wires(Inputs::from_bits_retain(input.byte()))),
+            2 => script.push(Operation::Wires(input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK)),
+            6 => script.push(Operation::Behave(gripper::behaviour(&mut input))),
+            7 => script.push(Operation::Pass(u32::from(input.byte() % 32))),
+            15 => script.push(Operation::Pass(input.byte().into())),
+            _ => B::decode(op, &mut input, &mut script),
         }
-        if choice & 1 != 0 {
-            self.get_ready();
+        if B::passes_after(op) {
+            script.push(Operation::Pass(1));
         }
-        while !input.is_empty() && !self.ends().is_over {
-            let op = input.byte();
-            match op % 16 {
-                0 | 1 => self.ends().wires = Inputs::from_bits_retain(input.byte()),
-                2 => self.ends().wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
-                6 => {
-                    let Ends { now_ms, gripper, .. } = self.ends();
-                    gripper.change(*now_ms, input);
-                }
-                7 => self.pass(u32::from(input.byte() % 32)),
-                15 => self.pass(u32::from(input.byte())),
-                _ => self.take(op, input),
+    }
+    script.dedup_by(|next, last| match (next, last) {
+        (Operation::Pass(more), Operation::Pass(ms)) => {
+            *ms += *more;
+            true
+        }
+        _ => false,
+    });
+    (choice, script)
+}
+
+/// Plays a script. `choice` selects a ready bridge (bit 0) and moving fingers at power-up (bit 4).
+pub(super) fn play<B: WholeBridge>(choice: u8, script: &[Operation]) {
+    let played = Played { body: B::NAME, choice, script };
+    let mut model = B::start(choice);
+    if choice & 16 != 0 {
+        model.ends().gripper.run();
+    }
+    if choice & 1 != 0 {
+        model.get_ready();
+    }
+    for operation in played.script {
+        if model.ends().is_over {
+            break;
+        }
+        match operation {
+            Operation::Pass(ms) => model.pass(*ms),
+            Operation::Wires(levels) => model.ends().wires = *levels,
+            Operation::Behave(behaviour) => {
+                let Ends { now_ms, gripper, .. } = model.ends();
+                gripper.change(*now_ms, behaviour);
             }
-            if self.passes_after(op) {
-                self.pass(1);
+            Operation::Forge(bytes) => {
+                let Ends { now_ms, gripper, .. } = model.ends();
+                gripper.forge(*now_ms, bytes);
+                model.deliver(bytes);
             }
+            _ => model.execute(operation),
         }
-        self.pass(10);
+    }
+    model.pass(10);
+    model.end();
+}
+
+/// Panics at an operation of another body.
+pub(super) fn cannot(operation: &Operation) -> ! {
+    panic!("this body does not execute {operation:?}")
+}
+
+/// Prints its script as a test when a body panics.
+struct Played<'a> {
+    body: &'static str,
+    choice: u8,
+    script: &'a [Operation],
+}
+
+impl Drop for Played<'_> {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            let Self { body, choice, script: operations } = self;
+            eprintln!("play(\"{body}\", {choice:#04X}, &[\n{}]);", script(*operations));
+        }
     }
 }
