@@ -1,9 +1,9 @@
 //! Output levels compared with the table of docs/wiring.md, in cases that need a particular gripper, flag or time.
 
-use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
+use host_tests::rtu_double::RtuDouble;
 use host_tests::world::{IDLE, WIRES, World, quick, with_part};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config, NoBus, RECIPES};
+use wsg_bridge_fw::{Config, RECIPES};
 use wsg_protocol::CommandId;
 use wsg_sim::{Fault, Model, Part};
 
@@ -67,20 +67,20 @@ const HALF_FRAME: [u8; 7] = [0xAA, 0xAA, 0xAA, 0x41, 60, 0, 0];
 
 #[test]
 fn incomplete_frame_is_discarded_20_ms_after_its_last_byte() {
-    let mut bridge = Bridge::new(Config::DEFAULT);
-    let mut line = SerialLine::with_room(BYTES_PER_MS);
-    let mut dropped_at = |ms: u32, delivered: &[u8]| {
-        line.deliver(delivered);
-        bridge.poll(ms, Inputs::empty(), &mut line, &mut NoBus);
-        bridge.counters().line.dropped
+    let mut rig = World::new(WIRES, quick());
+    let mut dropped_after = |ms: u32, delivered: &[u8]| {
+        rig.far.line.deliver(delivered);
+        rig.skip_ms(ms - 1);
+        rig.turn_alone(&mut RtuDouble::default());
+        rig.counters().line.dropped
     };
     let (begun, rest) = HALF_FRAME.split_at(4);
-    assert_eq!(dropped_at(1_000, begun), 0);
-    assert_eq!(dropped_at(1_015, rest), 0);
-    for ms in 1_016..1_035 {
-        assert_eq!(dropped_at(ms, &[]), 0, "after {} ms", ms - 1_015);
+    assert_eq!(dropped_after(1_000, begun), 0);
+    assert_eq!(dropped_after(15, rest), 0);
+    for ms in 1..20 {
+        assert_eq!(dropped_after(1, &[]), 0, "after {ms} ms");
     }
-    assert_eq!(usize::from(dropped_at(1_035, &[])), HALF_FRAME.len());
+    assert_eq!(usize::from(dropped_after(1, &[])), HALF_FRAME.len());
 }
 
 #[test]
@@ -102,12 +102,11 @@ fn incomplete_frame_does_not_swallow_later_reports() {
 
 #[test]
 fn at_most_256_bytes_are_read_per_turn() {
-    let mut bridge = Bridge::new(Config::DEFAULT);
-    let mut line = SerialLine::with_room(BYTES_PER_MS);
-    line.deliver(&[0x55; 1_000]);
+    let mut rig = World::new(WIRES, quick());
+    rig.far.line.deliver(&[0x55; 1_000]);
     for turn in 1..=3 {
-        bridge.poll(turn, Inputs::empty(), &mut line, &mut NoBus);
-        assert_eq!(u32::from(bridge.counters().line.dropped), 256 * turn);
+        rig.turn_alone(&mut RtuDouble::default());
+        assert_eq!(u32::from(rig.counters().line.dropped), 256 * turn);
     }
 }
 

@@ -1,16 +1,17 @@
 //! The bridge library with wires and a virtual gripper, in virtual time: output levels and safety.
 
-use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
+use host_tests::rtu_double::RtuDouble;
+use host_tests::serial_gripper::SerialLine;
 use host_tests::world::{IDLE, WIRES, World, quick, with_part};
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus, ResetCause, WiresConfig};
+use wsg_bridge_fw::{Config as BridgeConfig, ResetCause, WiresConfig};
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{
     Command, CommandId, DeviceTag, Event, FrameEncoder, FrameParser, GripperState, HomingDirection, Kind,
     Reply, Status, SystemFlags, Value,
 };
-use wsg_sim::{Config, Part, Time};
+use wsg_sim::{Config, Part};
 
 fn frame(reply: Reply<'_>) -> Vec<u8> {
     FrameEncoder::new(reply.id().code(), reply).collect()
@@ -485,26 +486,30 @@ proptest! {
 
 #[test]
 fn watchdog_is_fed_once_per_turn_if_time_has_passed() {
-    let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
-    let mut line = SerialLine::with_room(BYTES_PER_MS);
-    for now_ms in 1..100 {
-        bridge.poll(now_ms, Inputs::empty(), &mut line, &mut NoBus);
-        assert!(bridge.may_feed_watchdog(now_ms));
-        assert!(!bridge.may_feed_watchdog(now_ms + 1), "no turn");
+    let mut rig = World::new(WIRES, quick());
+    for _ in 0..100 {
+        rig.step();
+        let now_ms = rig.now_ms();
+        assert!(rig.bridge().may_feed_watchdog(now_ms));
+        assert!(!rig.bridge().may_feed_watchdog(now_ms + 1), "no turn");
     }
+    rig.freeze();
+    let now_ms = rig.now_ms();
     for _ in 0..1_000 {
-        bridge.poll(99, Inputs::empty(), &mut line, &mut NoBus);
-        assert!(!bridge.may_feed_watchdog(99), "the clock has stopped");
+        rig.step();
+        assert!(!rig.bridge().may_feed_watchdog(now_ms), "the clock has stopped");
     }
 }
 
 #[test]
 fn watchdog_is_not_fed_while_the_line_returns_errors() {
-    let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
-    let mut line = SerialLine::failing();
-    for now_ms in 1..100 {
-        bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut line, &mut NoBus);
-        assert!(!bridge.may_feed_watchdog(now_ms));
+    let mut rig = World::new(WIRES, quick());
+    rig.far.line = SerialLine::failing();
+    rig.set(Inputs::FAST_STOP_OK, true);
+    for _ in 0..100 {
+        rig.step();
+        let now_ms = rig.now_ms();
+        assert!(!rig.bridge().may_feed_watchdog(now_ms));
     }
 }
 
@@ -739,30 +744,20 @@ fn id_of(event: Option<Event<'_>>) -> Option<CommandId> {
 /// Blocks the transmitter after 7 bytes of the next message, until the connection is lost. Returns these bytes, the commands
 /// that the gripper receives in full, and the number of broken frames.
 fn cut(inputs: Inputs) -> (Vec<u8>, Vec<CommandId>, u16) {
-    let mut far = SerialGripper::new(quick());
-    let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
-    let mut now_ms = 0;
-    let idle = Inputs::FAST_STOP_OK;
-    for (wires, ms) in [(idle, 300), (idle | Inputs::STOP_ACK, 10), (idle, 200)] {
-        for _ in 0..ms {
-            now_ms += 1;
-            bridge.poll(now_ms, wires, &mut far.line, &mut NoBus);
-            far.advance(Time::from_millis(now_ms.into()));
-        }
-    }
-    let mut line = SerialLine::with_room(7);
-    let mut outputs = Outputs::empty();
-    for _ in 0..620 {
-        now_ms += 1;
-        outputs = bridge.poll(now_ms, inputs, &mut line, &mut NoBus);
-    }
-    assert!(!outputs.contains(Outputs::LINK_OK), "{outputs:?}");
-    let begun = line.take_sent();
+    let mut rig = World::ready(WIRES, quick());
+    rig.pass(200);
+    rig.inputs = inputs;
+    rig.far.line = SerialLine::with_room(7);
+    let is_lost = (0..1_000).any(|_| {
+        rig.turn_alone(&mut RtuDouble::default());
+        !rig.outputs().contains(Outputs::LINK_OK)
+    });
+    assert!(is_lost, "{:?}", rig.outputs());
+    let begun = rig.far.line.take_sent();
     let mut bytes = begun.clone();
     for _ in 0..2_000 {
-        now_ms += 1;
-        bridge.poll(now_ms, inputs, &mut line, &mut NoBus);
-        bytes.extend(line.take_sent());
+        rig.turn_alone(&mut RtuDouble::default());
+        bytes.extend(rig.far.line.take_sent());
     }
     let mut parser = FrameParser::<MAX_MESSAGE_LEN>::new();
     let mut ids = Vec::new();
@@ -791,7 +786,7 @@ fn cut_motion_frame_is_not_completed_after_connection_loss() {
 #[test]
 fn cut_query_or_fast_stop_is_completed_after_connection_loss() {
     for (inputs, id) in
-        [(Inputs::FAST_STOP_OK, CommandId::GetSystemState), (Inputs::empty(), CommandId::FastStop)]
+        [(Inputs::FAST_STOP_OK, CommandId::GetGripperState), (Inputs::empty(), CommandId::FastStop)]
     {
         let (begun, ids, broken) = cut(inputs);
         assert_eq!(begun[..4], [0xAA, 0xAA, 0xAA, id.code()]);

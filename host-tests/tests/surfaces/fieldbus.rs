@@ -9,9 +9,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use embedded_io::ErrorType;
+use host_tests::flash_model::FlashModel;
 use host_tests::modbus_tcp::Master;
+use host_tests::rtu_double::RtuDouble;
+use host_tests::world::{self, WIRES};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_fieldbus::{CommandFlags, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 
@@ -114,11 +116,13 @@ pub(crate) fn wires(address: SocketAddr) -> Box<dyn Surface> {
         let stream = TcpStream::connect(address).expect("the gripper listens");
         stream.set_nonblocking(true).expect("a socket option");
         let (mut line, start) = (TcpLine(stream), Instant::now());
-        let mut bridge_of_test = Bridge::new(Config::DEFAULT);
+        let mut flash = FlashModel::new();
+        let (mut station, _) = world::start(&WIRES, &mut flash);
+        let [mut modbus, mut service] = [RtuDouble::default(), RtuDouble::default()];
         while let Some(levels) = bridge.upgrade() {
             let inputs = levels.lock().expect("no panic").0;
             let now = start.elapsed().as_millis() as u32;
-            let outputs = bridge_of_test.poll(now, inputs, &mut line, &mut NoBus);
+            let outputs = station.turn(now, inputs, &mut line, &mut modbus, &mut service, &mut flash);
             levels.lock().expect("no panic").1 = outputs;
             drop(levels);
             thread::sleep(Duration::from_millis(1));
