@@ -76,10 +76,12 @@ fn printed_script_is_rust_that_plays_the_same_case() {
         Pass(33),
     ];
     let jog_ends_with_the_connection_that_began_it = vec![
+        Behave(Behaviour { answers: true, deliveries: vec![Late(50)], flags: SystemFlags::REFERENCED, has_part: true, is_disturbed: false }),
+        Pass(1),
         Gateway(Request { master: 0, pdu: vec![16, 0, 0, 0, 4, 8, 0, 0, 7, 208, 19, 136, 15, 160], fault: Intact }),
         Pass(4),
         Gateway(Request { master: 0, pdu: vec![16, 0, 0, 0, 4, 8, 64, 0, 7, 208, 19, 136, 15, 160], fault: Intact }),
-        Pass(11),
+        Pass(206),
         Gateway(Request { master: 1, pdu: vec![16, 0, 0, 0, 4, 8, 64, 0, 7, 208, 19, 136, 15, 160], fault: Intact }),
         Pass(1),
         Gateway(Reconnect(0)),
