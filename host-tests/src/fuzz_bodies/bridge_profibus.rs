@@ -442,7 +442,7 @@ impl WholeBridge for Model {
             }
         };
         let (how, silence, at) = (input.byte(), input.pick(&SILENCES), input.byte());
-        // The order of the committed seeds.
+        // The committed seeds have the codes of these two faults the other way round.
         let how = if matches!(how % 16, 2 | 3) { how ^ 1 } else { how };
         let fault = TelegramFault::of(how, at, || SILENCES[0]);
         script.push(Operation::Profibus { telegram, silence, fault });

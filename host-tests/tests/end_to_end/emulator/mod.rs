@@ -26,7 +26,7 @@ macro_rules! on_board {
                 #[test]
                 #[ignore = "needs an emulator and the firmware images: run `cargo xtask test`"]
                 fn $test() {
-                    super::$test::<$controller>();
+                    host_tests::rig::unless_disturbed(super::$test::<$controller>);
                 }
             )+
         }
@@ -38,7 +38,7 @@ macro_rules! on_board {
                 #[test]
                 #[ignore = "needs an emulator and the firmware image: run `cargo xtask test`"]
                 fn $test() {
-                    super::$test(Board::$board);
+                    host_tests::rig::unless_disturbed(|| super::$test(Board::$board));
                 }
             )+
         }
@@ -61,7 +61,6 @@ mod watchdog;
 mod wires;
 
 use std::fmt::Debug;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -131,25 +130,5 @@ fn wait_until<T: Debug>(what: &str, mut look: impl FnMut() -> T, wanted: impl Fn
             return seen;
         }
         assert!(Instant::now() < bound, "time-out; expected {what}; seen {seen:?}");
-    }
-}
-
-/// Runs a test with a new plant, up to five times if the bridge loses the link to the gripper and the test fails: the harness of a
-/// busy host, and with it the gripper, may pause for longer than the link's time-out. Returns the plant and the test's result.
-fn with_link_kept<P, T>(
-    start: impl Fn() -> P,
-    rig: impl Fn(&P) -> &Rig,
-    test: impl Fn(&mut P) -> T,
-) -> (P, T) {
-    const ATTEMPTS: usize = 5;
-    let mut attempt = 1;
-    loop {
-        let mut plant = start();
-        match catch_unwind(AssertUnwindSafe(|| test(&mut plant))) {
-            Err(_) if attempt < ATTEMPTS && rig(&plant).has_lost_link() => {}
-            Err(panic) => resume_unwind(panic),
-            Ok(result) => return (plant, result),
-        }
-        attempt += 1;
     }
 }

@@ -12,7 +12,7 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
 use wsg_sim::Config;
 
-use super::{Board, RELEASED, await_gripper, wait_until, with_link_kept};
+use super::{Board, RELEASED, await_gripper, wait_until};
 
 const UNIT: u8 = 1;
 
@@ -119,11 +119,8 @@ fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
 fn jog_over_the_bus_stops_with_its_flag_or_a_silent_master(board: Board) {
     // The bridge stops the jog a second of board time after the last request. On a busy host, the board's clock may run far
     // slower than the gripper's, so the gripper is slow, too.
-    let slow = || Config { time_scale: 0.1, homing_speed: Some(300.0), ..Config::default() };
-    with_link_kept(|| Plant::start(board, slow()), |plant| &plant.rig, jogs);
-}
-
-fn jogs(plant: &mut Plant) {
+    let slow = Config { time_scale: 0.1, homing_speed: Some(300.0), ..Config::default() };
+    let mut plant = Plant::start(board, slow);
     plant.master.allow_pauses().unwrap();
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(plant.command(MOVE, [20_00, 300_00, 40_00]), (IDLE, 0));

@@ -67,6 +67,10 @@ fn play(master: &mut Master, accesses: &[ImageAccess]) {
 #[test]
 #[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
 fn quick_start_by_mbpoll_and_registers_leads_to_a_grip() {
+    host_tests::rig::unless_disturbed(leads_to_a_grip);
+}
+
+fn leads_to_a_grip() {
     let text = read(DOCUMENT);
     let (before, after) =
         text.split_once("\n## 7. ").expect("docs/quick-start.md must have a step 7, with the power cycle");

@@ -64,8 +64,10 @@ fn mbpoll_reads_and_sets_over_the_service_port_beside_modbus(board: Board) {
 #[test]
 #[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
 fn mbpoll_reads_and_sets_over_the_service_port_beside_canopen() {
-    let extras = Extras { models: CanBus::new(250_000).models(), ..Extras::default() };
-    reads_and_sets(on_cable(Board::DEFAULT, "WSG_FIRMWARE_ELF_CAN_PLC", extras), "CANopen");
+    host_tests::rig::unless_disturbed(|| {
+        let extras = Extras { models: CanBus::new(250_000).models(), ..Extras::default() };
+        reads_and_sets(on_cable(Board::DEFAULT, "WSG_FIRMWARE_ELF_CAN_PLC", extras), "CANopen");
+    });
 }
 
 fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {

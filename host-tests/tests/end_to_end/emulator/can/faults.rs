@@ -20,7 +20,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
-use super::super::{wait_until, with_link_kept};
+use super::super::wait_until;
 use super::{BOTH_ON_CAN, CanBoard, GRIPPER_ON_CAN, Plant, READY, assert_one_cycle};
 
 /// Identifiers with default settings: the gripper's messages, and the bridge's TPDO1.
@@ -266,18 +266,14 @@ fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
         .into_iter()
         .partition(|frame| frame.arbitration() < WireFrame::standard(0x120, &[]).arbitration());
     let others: &[WireFrame] = others.leak();
-    let start = || Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
-
-    let grip = |plant: &mut Plant<C>| {
-        let once = plant.bus.join();
-        urgent.iter().for_each(|frame| once.send(*frame));
-        let _storm = Storm::on(&plant.bus, others);
-        plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
-        plant.command(Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
-        plant.command(Inputs::RELEASE, READY | Outputs::REFERENCED);
-        once
-    };
-    let (plant, once) = with_link_kept(start, |plant| &plant.rig, grip);
+    let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
+    let once = plant.bus.join();
+    urgent.iter().for_each(|frame| once.send(*frame));
+    let storm = Storm::on(&plant.bus, others);
+    plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
+    plant.command(Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
+    plant.command(Inputs::RELEASE, READY | Outputs::REFERENCED);
+    drop(storm);
 
     assert_one_cycle(&plant.rig);
     assert_eq!(once.waiting(), 0);
