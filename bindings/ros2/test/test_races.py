@@ -122,3 +122,11 @@ def test_failures_are_reported_and_the_connection_returns(monkeypatch: Any, grip
     assert gripper.wait_for_health("no state for").level == b"\3", "an old state is not shown as current"
     reading.released.set()
     gripper.wait_for_health("ready")
+
+
+def test_clock_that_is_set_back_does_not_renew_an_old_state(monkeypatch: Any, gripper: Client) -> None:
+    gripper.wait_for_health("ready")
+    reading, clock = Held(monkeypatch, link.Requests, "read"), time.time
+    monkeypatch.setattr(time, "time", lambda: clock() - 3600)
+    assert gripper.wait_for_health("no state for").level == b"\3"
+    reading.released.set()

@@ -30,7 +30,10 @@ CONFIRMATION = 1.0
 
 
 class Reading(NamedTuple):
-    """State of the gripper at a time of ``time.time()``, in mm, mm/s, N and °C. Closing has a negative speed."""
+    """State of the gripper, in mm, mm/s, N and °C. Closing has a negative speed.
+
+    ``at`` is a time of ``time.monotonic()``, which setting the clock does not change.
+    """
 
     at: float
     width: float
@@ -73,7 +76,8 @@ class Requests:
         if time.monotonic() >= self._temperature_due:
             self._temperature = self.gripper.temperature()
             self._temperature_due = time.monotonic() + TEMPERATURE_PERIOD
-        at, width, speed, force, state, flags = next(self._updates)
+        reading = next(self._updates)
+        at, (_, width, speed, force, state, flags) = time.monotonic() - max(0.0, reading.age), reading
         return Reading(at, nan if width is None else width, speed, force, flags, state.name, self._temperature)
 
     def halt(self, fast: bool) -> None:
@@ -97,18 +101,20 @@ class Stream:
             self.gripper.stop()
             raise StreamEndedError(self.gripper.ended)
         self.limits = self.gripper.limits
-        self._number, self._period, self._due = -1, 1 / rate, time.monotonic()
+        self._number, self._period = -1, 1 / rate
+        self._due = self._received = time.monotonic()
 
     def read(self) -> Reading:
         """Wait for a new sample, at most one in each period. Raises ``StreamEndedError``, or ``UnansweredError`` if it is late."""
         # A sample of the same rate may be early by half a period.
         time.sleep(max(0, self._due - self._period / 2 - time.monotonic()))
         while (sample := self.gripper.latest()).number == self._number:
-            if time.time() - sample.received > LATE:
+            if time.monotonic() - self._received > LATE:
                 raise UnansweredError(f"no answer for {LATE} s")
             time.sleep(self._period / CHECKS)
-        self._number, self._due = sample.number, max(self._due, time.monotonic()) + self._period
-        return Reading(sample.measured, *sample[3:7], "STREAMING", None)  # position, speed, force, flags
+        self._number, self._received = sample.number, time.monotonic()
+        self._due = max(self._due, self._received) + self._period
+        return Reading(self._received - max(0.0, sample.age), *sample[3:7], "STREAMING", None)  # position, speed, force, flags
 
     def halt(self, fast: bool) -> None:
         """Stop the fingers, and wait until this has ended the stream. Raises ``StreamEndedError`` if it ended otherwise."""

@@ -302,7 +302,7 @@ class WsgGripper(LifecycleNode):
 
     def _joint_state(self, reading: Reading) -> JointState:
         message = JointState(name=self._joints)
-        age = int(max(0.0, time.time() - reading.at) * 1e9)
+        age = int(max(0.0, time.monotonic() - reading.at) * 1e9)
         message.header.stamp = Time(nanoseconds=max(0, self.get_clock().now().nanoseconds - age)).to_msg()
         values = (reading.width / 1000, reading.speed / 1000, reading.force)
         message.position, message.velocity, message.effort = ([value / units.FINGERS] * 2 for value in values)
@@ -326,8 +326,8 @@ class WsgGripper(LifecycleNode):
         level, text = units.STALE, loss or "connecting"
         if reading is not None and not loss:
             level, text = units.health(reading.flags)
-            if time.time() - reading.at > LATE:
-                level, text = units.STALE, f"no state for {time.time() - reading.at:.1f} s"
+            if time.monotonic() - reading.at > LATE:
+                level, text = units.STALE, f"no state for {time.monotonic() - reading.at:.1f} s"
             values["flags"] = " ".join(flag.name or "" for flag in SystemFlags if flag in reading.flags)
             if reading.temperature is not None:
                 values["temperature"] = f"{reading.temperature:.1f} °C"
@@ -496,10 +496,10 @@ class WsgGripper(LifecycleNode):
             else:
                 self._note(error, "aborted the goal: ")
                 handle.abort()
-        return self._filled(Command.Result(), self._reading_since(time.time()), outcome)
+        return self._filled(Command.Result(), self._reading_since(time.monotonic()), outcome)
 
     def _reading_since(self, begin: float) -> Optional[Reading]:
-        """Wait for values that arrived after a time of ``time.time()``. Return ``None`` without a connection."""
+        """Wait for values that arrived after a time of ``time.monotonic()``. Return ``None`` without a connection."""
         end = time.monotonic() + LATE
         while (reading := self._reading) is None or reading.at < begin:
             if self._loss or time.monotonic() > end:
