@@ -337,24 +337,11 @@ impl Tab {
         if page != "shown" {
             self.show(page.as_str().unwrap());
         }
-        let place = format!(
-            "(() => {{
-               const found = document.querySelector({selector:?});
-               found.scrollIntoView({{ block: 'center' }});
-               window.isMissed = true;
-               found.addEventListener('click', () => {{ isMissed = false; }}, {{ capture: true, once: true }});
-               const {{ x, y, width, height }} = found.getBoundingClientRect();
-               return [x + width / 2, y + height / 2];
-             }})()"
-        );
-        // It may move between the look and the click. A disabled one is never hit.
-        for _ in 0..3 {
-            let middle = self.until(&place);
-            self.click_at(&middle);
-            if self.eval("window.isMissed") != true {
-                break;
-            }
-        }
+        let middle = self.until(&format!(
+            "(() => {{ const found = document.querySelector({selector:?}); found.scrollIntoView({{ block: 'center' }});
+               const {{ x, y, width, height }} = found.getBoundingClientRect(); return [x + width / 2, y + height / 2]; }})()"
+        ));
+        self.click_at(&middle);
         self.last = Some(Input::Click(selector.to_owned()));
     }
 
