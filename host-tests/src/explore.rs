@@ -23,11 +23,10 @@ mod search;
 
 use std::fmt;
 
-pub use crate::promises::Promise;
-
 use wsg_bridge_fw::io::Outputs;
 
 use crate::operation::Operation;
+pub use crate::promises::Promise;
 use action::{BUS, WIRES};
 use roots::Root;
 use search::{Outcome, explore};

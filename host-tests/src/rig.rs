@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::sync::{LazyLock, Mutex, PoisonError};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -36,19 +36,23 @@ thread_local! {
     static IS_DISTURBED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Times at which a thread of the harness continued after the machine had withheld it.
-static WITHHELD: LazyLock<Mutex<Vec<Instant>>> = LazyLock::new(|| {
+/// When a thread of the harness continued the last time that the machine had withheld it.
+static WITHHELD: LazyLock<Mutex<Option<Instant>>> = LazyLock::new(|| {
     thread::spawn(|| {
         loop {
             let start = Instant::now();
             thread::sleep(Duration::from_millis(1));
             if start.elapsed() > QUIET {
-                WITHHELD.lock().unwrap_or_else(PoisonError::into_inner).push(Instant::now());
+                *withheld() = Some(Instant::now());
             }
         }
     });
-    Mutex::new(Vec::new())
+    Mutex::new(None)
 });
+
+fn withheld() -> MutexGuard<'static, Option<Instant>> {
+    WITHHELD.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// Longest time for which a machine withholds a thread if it does not disturb a test.
 const QUIET: Duration = Duration::from_millis(50);
@@ -302,8 +306,7 @@ impl Rig {
 impl Drop for Rig {
     fn drop(&mut self) {
         if thread::panicking() && self.has_lost_link() {
-            let withheld = WITHHELD.lock().unwrap_or_else(PoisonError::into_inner);
-            IS_DISTURBED.set(withheld.iter().any(|at| *at > self.started));
+            IS_DISTURBED.set(withheld().is_some_and(|at| at > self.started));
         }
     }
 }
@@ -343,7 +346,7 @@ mod tests {
                 rig.gripper().cut(true);
                 rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
             }
-            WITHHELD.lock().unwrap_or_else(PoisonError::into_inner).push(Instant::now());
+            *withheld() = Some(Instant::now());
             panic!("the test fails");
         };
         assert!(catch_unwind(AssertUnwindSafe(|| unless_disturbed(failing))).is_err());

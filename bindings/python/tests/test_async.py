@@ -34,7 +34,10 @@ def test_queries_pass_a_grip(simulator: Simulator) -> None:
         while not grip.done():
             widths.append(await gripper.width())
         assert await grip is GripResult.HELD
-        assert len(widths) > 20 and widths[0] > 90 and len(set(widths)) > 10
+        # The last query of a busy machine may be long before the result.
+        assert len(set(widths)) > 10
+        widths.append(await gripper.width())
+        assert len(widths) > 20 and widths[0] > 90 and widths[-1] < 30
         assert await gripper.state() is GripperState.HOLDING
 
     run(program, simulator)

@@ -328,7 +328,11 @@ def test_queries_of_another_thread_pass_a_grip(simulator: Simulator) -> None:
             widths.append(gripper.width())
         thread.join()
         assert results == [GripResult.HELD]
-        assert len(widths) > 20 and widths[0] > 90 and len(set(widths)) > 10
+        # The last query of a busy machine may be long before the result.
+        assert len(set(widths)) > 10
+        widths.append(gripper.width())
+        assert len(widths) > 20
+        assert widths[0] > 90 and widths[-1] < 30
 
 
 def test_queries_and_motions_of_many_threads_pass_a_grip(simulator: Simulator) -> None:

@@ -197,7 +197,7 @@ def test_asyncio_iterates_beside_a_motion(simulator: Simulator) -> None:
                     # The last width may arrive after the result.
                     if grip.done() and widths[-1] == pytest.approx(20, abs=1):
                         break
-                assert await grip and cancelled and len(widths) > 5
+                assert await grip and cancelled and len(widths) > 5 and widths[-1] == pytest.approx(20, abs=1)
             assert [reading async for reading in readings] == []
             readings = gripper.subscribe()
             simulator.close()
@@ -205,7 +205,7 @@ def test_asyncio_iterates_beside_a_motion(simulator: Simulator) -> None:
                 async for _ in readings:
                     pass
 
-    asyncio.run(program())
+    asyncio.run(asyncio.wait_for(program(), 60))
 
 
 def test_stream_yields_new_samples_until_its_end(wsg_sim: Simulator) -> None:

@@ -77,7 +77,8 @@ class Requests:
             self._temperature = self.gripper.temperature()
             self._temperature_due = time.monotonic() + TEMPERATURE_PERIOD
         reading = next(self._updates)
-        at, (_, width, speed, force, state, flags) = time.monotonic() - max(0.0, reading.age), reading
+        at = time.monotonic() - max(0.0, reading.age)
+        _, width, speed, force, state, flags = reading
         return Reading(at, nan if width is None else width, speed, force, flags, state.name, self._temperature)
 
     def halt(self, fast: bool) -> None:

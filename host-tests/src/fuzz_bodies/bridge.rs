@@ -22,17 +22,18 @@ use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, Station};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 
-use super::frames::repair_checksums;
 use super::input::Input;
 use super::modbus::sealed;
 use super::tracked::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Tracked, timing};
-use super::whole::{self, Ends, FLAGS, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image};
+use super::whole::{self, Ends, FLAGS, PARAMETERS, WholeBridge};
+use super::whole::{pick_answer, pick_characters, pick_edge, pick_image, pick_noise};
 use crate::flash_model::FlashModel;
 use crate::operation::{Operation, Port, TelegramFault, Unit, image};
 use crate::promises::Promises;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
 use crate::world::can::CanDouble;
+use crate::world::modbus::{registers_of, write_request};
 use crate::world::start;
 
 /// Recipes: width, speed, force and release width. The gripper rejects the last one.
@@ -70,7 +71,7 @@ pub fn bridge(data: &[u8]) {
 
 /// Returns a write of registers 0 to 3.
 pub(super) fn image_pdu(image: &OutputImage) -> Vec<u8> {
-    [&[16, 0, 0, 0, 4, 8], &image.to_bytes()[..]].concat()
+    write_request(0, &registers_of(image)).split_off(1)
 }
 
 /// Returns a request that writes a setting, a recipe, BUS_RECIPE or a command, or reads settings.
@@ -247,20 +248,11 @@ impl WholeBridge for Model {
     fn decode(op: u8, input: &mut Input<'_>, script: &mut Vec<Operation>) {
         let port = if op & 0x80 == 0 { Port::Bus } else { Port::Service };
         let (unit, pdu) = match op % 16 {
-            3 => return script.push(Operation::Forge(input.fewer_than(40).to_vec())),
-            4 => {
-                let mut bytes = input.fewer_than(40).to_vec();
-                repair_checksums(&mut bytes);
-                return script.push(Operation::Forge(bytes));
-            }
+            3 | 4 => return script.push(pick_noise(input, op % 16 == 4)),
             5 => return script.push(pick_answer(input)),
             8 => {
-                let count = input.byte() % 24;
-                let characters = (0..count).map(|_| {
-                    let byte = if input.byte() == 0xFF { None } else { Some(input.byte()) };
-                    (byte, input.pick(&silences(port)))
-                });
-                return script.push(Operation::Characters(port, characters.collect()));
+                let characters = pick_characters(input, &silences(port));
+                return script.push(Operation::Characters(port, characters));
             }
             9 => {
                 let unit = input.pick(&[Unit::Own, Unit::Broadcast, Unit::Other]);

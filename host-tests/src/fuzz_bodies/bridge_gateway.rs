@@ -21,10 +21,9 @@ use wsg_fieldbus::{CommandFlags, OutputImage, SilenceReaction};
 use wsg_protocol::{Instant, SystemFlags};
 
 use super::bridge::{SAVE_MS, coil_pdu, flags_pdu, image_pdu, settings_pdu};
-use super::frames::repair_checksums;
 use super::input::Input;
 use super::tracked::{Done, Tracked};
-use super::whole::{self, Ends, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image};
+use super::whole::{self, Ends, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image, pick_noise};
 use crate::flash_model::FlashModel;
 use crate::operation::{Behaviour, GatewayEvent, Operation, Port, TelegramFault, image};
 use crate::serial_gripper::SerialLine;
@@ -285,12 +284,7 @@ impl WholeBridge for Model {
         let master = usize::from(op >> 7);
         let request = |pdu, fault| Operation::Gateway(GatewayEvent::Request { master, pdu, fault });
         let pdu = match op % 16 {
-            3 => return script.push(Operation::Forge(input.fewer_than(40).to_vec())),
-            4 => {
-                let mut bytes = input.fewer_than(40).to_vec();
-                repair_checksums(&mut bytes);
-                return script.push(Operation::Forge(bytes));
-            }
+            3 | 4 => return script.push(pick_noise(input, op % 16 == 4)),
             5 => return script.push(pick_answer(input)),
             8 => {
                 let how = input.byte();

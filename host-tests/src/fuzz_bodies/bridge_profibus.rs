@@ -23,7 +23,8 @@ use wsg_protocol::{Instant, SystemFlags};
 
 use super::input::Input;
 use super::profibus::framed;
-use super::whole::{self, Ends, PARAMETERS, WholeBridge, pick_answer, pick_edge, pick_image};
+use super::whole::{self, Ends, PARAMETERS, WholeBridge};
+use super::whole::{pick_answer, pick_characters, pick_edge, pick_image, pick_noise};
 use crate::operation::{Operation, Port, Telegram, TelegramFault, image};
 use crate::world::profibus::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
@@ -395,15 +396,11 @@ impl WholeBridge for Model {
 
     fn decode(op: u8, input: &mut Input<'_>, script: &mut Vec<Operation>) {
         let telegram = match op % 16 {
-            3 => return script.push(Operation::Forge(input.fewer_than(40).to_vec())),
+            3 => return script.push(pick_noise(input, false)),
             4 => return script.push(pick_answer(input)),
             5 => {
-                let count = input.byte() % 24;
-                let characters = (0..count).map(|_| {
-                    let byte = if input.byte() == 0xFF { None } else { Some(input.byte()) };
-                    (byte, input.pick(&[0, 0, 0, 20, 40]))
-                });
-                return script.push(Operation::Characters(Port::Bus, characters.collect()));
+                let characters = pick_characters(input, &[0, 0, 0, 20, 40]);
+                return script.push(Operation::Characters(Port::Bus, characters));
             }
             8 => {
                 let outputs = pick_image(input).to_bytes().to_vec();

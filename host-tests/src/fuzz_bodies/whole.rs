@@ -9,6 +9,7 @@ use wsg_bridge_fw::{Bridge, Config};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{CommandId, Instant, Status};
 
+use super::frames::repair_checksums;
 use super::gripper::{self, Gripper};
 use super::input::Input;
 use super::tap::Tap;
@@ -50,6 +51,22 @@ pub(super) fn pick_image(input: &mut Input<'_>) -> OutputImage {
 pub(super) fn pick_edge(input: &mut Input<'_>) -> [OutputImage; 2] {
     let parameters = input.pick(&PARAMETERS);
     [CommandFlags::empty(), input.pick(&FLAGS)].map(|flags| image(flags, parameters))
+}
+
+/// Decodes noise on the gripper's line, whose checksums may be `repaired`.
+pub(super) fn pick_noise(input: &mut Input<'_>, repaired: bool) -> Operation {
+    let mut bytes = input.fewer_than(40).to_vec();
+    if repaired {
+        repair_checksums(&mut bytes);
+    }
+    Operation::Forge(bytes)
+}
+
+/// Decodes characters on a bus, each after one of these silences.
+pub(super) fn pick_characters(input: &mut Input<'_>, silences: &[u32]) -> Vec<(Option<u8>, u32)> {
+    let count = input.byte() % 24;
+    let mut pick = || (if input.byte() == 0xFF { None } else { Some(input.byte()) }, input.pick(silences));
+    (0..count).map(|_| pick()).collect()
 }
 
 /// Decodes a forged answer.

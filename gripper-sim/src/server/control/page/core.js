@@ -167,18 +167,19 @@ function take({ time_s, as_of, state }) {
   if (!isFresh()) return isGone();
   for (const act of onSample) act(state, time_s);
   // A state without news is drawn once a second, for the time.
-  if (Math.abs(now - drawnAt) < 0.9 && JSON.stringify(state) === shownText) return;
+  const text = JSON.stringify(state);
+  if (text === shownText && Math.abs(now - shownAt) < 0.9) return;
+  shownText = text;
+  shownAt = now;
   // Only the latest state of each frame is drawn, so that many windows leave time for clicks.
   if (latest === null) requestAnimationFrame(drawLatest);
   latest = state;
 }
-// The latest state, until it is drawn; the last drawn one as text, and its time.
-let latest = null, shownText = "", drawnAt = 0;
+// The latest state, until it is drawn. It stays as text, with its time.
+let latest = null, shownText = "", shownAt = 0;
 function drawLatest() {
   const state = latest;
   latest = null;
-  shownText = JSON.stringify(state);
-  drawnAt = now;
   if (!isFresh()) return isGone();
   document.body.classList.remove("stale");
   const fastStopped = state.system_state.includes("FAST_STOP");

@@ -98,16 +98,15 @@ $("plot").addEventListener("keydown", event => {
 onGone.push(plot);
 // Every 100 ms, every second while nothing changes, and less often while the timer is late: many windows must leave time for clicks.
 let timer = 0, rests = false;
-function keepPlotting(pause) {
+function keepPlotting(pause, isAtRest = false) {
   clearTimeout(timer);
-  rests = false;
+  rests = isAtRest;
   const due = performance.now() + pause;
   timer = setTimeout(() => {
     const late = performance.now() - due;
     if (isFresh() && !pages[0].hidden) plot();
     const isLate = late > 30, hasRested = series.length && now - series[series.length - 1][0] > 1;
-    keepPlotting(isLate ? Math.min(1000, 2 * pause) : Math.max(hasRested ? 1000 : 100, 0.9 * pause));
-    rests = !isLate && hasRested;
+    keepPlotting(isLate ? Math.min(1000, 2 * pause) : Math.max(hasRested ? 1000 : 100, 0.9 * pause), !isLate && hasRested);
   }, pause);
 }
 keepPlotting(100);
